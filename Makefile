@@ -35,6 +35,8 @@ lint: $(DEV)
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check --quiet
 	$(BIN)/mypy
+	@# Node.js is that of the machine; without one, mypy alone has read the user's script of tests/packaging/test_types.py.
+	! command -v node >/dev/null || node "$$(echo .venv/lib/python3*/site-packages/basedpyright/index.js)" --pythonpath $(BIN)/python
 	git ls-files '*.h' '*.cuh' '*.cpp' '*.cu' | xargs $(BIN)/clang-format --dry-run --Werror
 
 # The documentation as a site in build/site, with pictures, search and all docstrings; a broken link is an error.
@@ -80,6 +82,8 @@ $(READY): constraints.txt pyproject.toml setup.py python/kvision/_version.py
 # What tests, benchmarks and linters need besides.
 $(DEV): $(READY)
 	$(PIP) --no-build-isolation --editable '.[dev]'
+	@# Without the Node.js of 60 MB that it would bring.
+	$(PIP) --no-deps basedpyright
 	@touch $@
 
 clean:

@@ -16,7 +16,8 @@ import re
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from itertools import product
-from typing import Any
+from types import UnionType
+from typing import Any, Literal, Union, get_args, get_origin
 
 import numpy as np
 import pytest
@@ -93,8 +94,43 @@ def tensors(home: str) -> Iterator[tuple[Call, str | int, bool]]:
                     yield call, key, i == 0
 
 
+def words(annotation: Any) -> set[str]:
+    """The words of the Literals of a type, in lower case."""
+    if get_origin(annotation) is Literal:
+        return {word.lower() for word in get_args(annotation) if isinstance(word, str)}
+    parts = get_args(annotation) if get_origin(annotation) in (Union, UnionType) else ()
+    return set().union(*map(words, parts))
+
+
+def choices(call: Call) -> Iterator[tuple[str, set[str]]]:
+    """The arguments that are one of two words or more, by their types."""
+    target = call.function.__init__ if inspect.isclass(call.function) else call.function
+    target = inspect.unwrap(target.forward if isinstance(target, nn.Module) else target)
+    for name, parameter in inspect.signature(target).parameters.items():
+        if re.search(r"^[A-Z]\w+( \||$)|Literal", str(parameter.annotation)):
+            known = words(eval(parameter.annotation, target.__globals__))
+            if len(known) > 1:
+                yield name, known
+
+
+def check_choices(home: str) -> None:
+    """What a wrong word is answered with are the words of the argument's type, which editors offer."""
+    for calls in example_calls(home).values():
+        for call in calls[:1]:
+            for name, known in choices(call):
+                positions = [p.name for p in call.parameters()][: len(call.args)]
+                with pytest.raises(ValueError, match="one of") as raised:
+                    call.replaced(positions.index(name) if name in positions else name, "no such word")
+                    pytest.fail(f"{call.name} accepts any {name}")
+                listed = re.search(r"one of (.*?)( or a list)?[;,] got", str(raised.value))
+                assert listed and {re.sub(r" \(.*", "", x).lower() for x in listed[1].split(", ")} == known, (
+                    raised.value
+                )
+
+
 @pytest.mark.parametrize("home", HOMES)
 def test_other_types_are_named(home):
+    check_choices(home)  # here, as the examples of a file take time
     for call, key, is_first in tensors(home):
         kind_of_tensor = r"to be (.*Tensor|images).*" if is_first else r".*"
         for kind, value in NO_TENSORS.items():

@@ -9,16 +9,17 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from numbers import Integral, Real
-from typing import Any
+from typing import Any, get_args
 
 import torch
 from torch import Tensor
 
+from kvision._choices import Border, Reduction
 from kvision._limits import LARGEST_WINDOW as LARGEST_WINDOW  # so that its area is an int, too
 from kvision._torch_compat import in_function_transform
 from kvision.core.exceptions import DeviceError, ShapeError, TypeCheckError, ValueCheckError
 
-BORDERS = ("constant", "reflect", "replicate", "circular")
+BORDERS = get_args(Border)
 # What the kernels compute with: an axis is counted in int, a parameter of float32 images is a float.
 LARGEST_INT = 2**31 - 1
 LARGEST_FLOAT = torch.finfo(torch.float32).max
@@ -281,7 +282,7 @@ def choice(
         raise error(f"{op}: {name} must be one of {listed}; got {value!r}", actual_value=value)
 
 
-def reduction(op: str, value: Any, options: Sequence[str] = ("none", "mean", "sum")) -> None:
+def reduction(op: str, value: Any, options: Sequence[str] = get_args(Reduction)) -> None:
     """Raise UnknownChoiceError unless `value` names a reduction."""
     choice(op, "reduction", value, options, UnknownChoiceError)
 

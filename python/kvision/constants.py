@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from enum import Enum
-from typing import Any
+from typing import Any, Literal, TypeAlias
 
 import torch
 from typing_extensions import Self
@@ -69,6 +70,11 @@ class Resample(_NamedEnum):
     BICUBIC = 2
 
 
+# What `get` takes, for type checkers and editors: names in lower and upper case, numbers and members.
+ResampleName: TypeAlias = Literal["nearest", "bilinear", "bicubic", "NEAREST", "BILINEAR", "BICUBIC"]
+AnyResample: TypeAlias = ResampleName | int | Resample
+
+
 class BorderType(_NamedEnum):
     """Where a filter takes the pixels outside the image from.
 
@@ -84,6 +90,12 @@ class BorderType(_NamedEnum):
     CIRCULAR = 3
 
 
+BorderTypeName: TypeAlias = Literal[
+    "constant", "reflect", "replicate", "circular", "CONSTANT", "REFLECT", "REPLICATE", "CIRCULAR"
+]
+AnyBorderType: TypeAlias = BorderTypeName | int | BorderType
+
+
 class SamplePadding(_NamedEnum):
     """What a warp reads outside the image; FILL is a constant color.
 
@@ -97,6 +109,10 @@ class SamplePadding(_NamedEnum):
     BORDER = 1
     REFLECTION = 2
     FILL = 3
+
+
+SamplePaddingName: TypeAlias = Literal["zeros", "border", "reflection", "fill", "ZEROS", "BORDER", "REFLECTION", "FILL"]
+AnySamplePadding: TypeAlias = SamplePaddingName | int | SamplePadding
 
 
 class DType(_NamedEnum):
@@ -152,3 +168,12 @@ class DataKey(_NamedEnum):
     LABEL = 6
     CLASS = 6
     BBOX_XYXY_PLUS = 7
+
+
+DataKeyName: TypeAlias = Literal[
+    "image", "input", "mask", "bbox", "bbox_xyxy", "bbox_xywh", "bbox_xyxy_plus", "keypoints", "label", "class",
+    "IMAGE", "INPUT", "MASK", "BBOX", "BBOX_XYXY", "BBOX_XYWH", "BBOX_XYXY_PLUS", "KEYPOINTS", "LABEL", "CLASS",
+]  # fmt: skip
+AnyDataKey: TypeAlias = DataKeyName | int | DataKey
+# A list that is a variable of its own has the type list[str], whatever its words are.
+DataKeys: TypeAlias = Sequence[AnyDataKey] | Sequence[str]

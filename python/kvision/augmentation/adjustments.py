@@ -15,6 +15,7 @@ from kvision.augmentation.engine import Params, Shape
 from kvision.augmentation.intensity_base import ColorStep, IntensityAugmentationBase2D
 from kvision.augmentation.random_generator.color import PosterizeGenerator, ScaledGenerator
 from kvision.augmentation.random_generator.plain import PlainUniformGenerator
+from kvision.augmentation.ranges import Numbers, NumbersOfAxes
 from kvision.core.exceptions import ShapeError, ValueCheckError
 
 __all__ = [
@@ -52,7 +53,7 @@ class RandomBrightness(IntensityAugmentationBase2D):
 
     def __init__(
         self,
-        brightness: Any = (1.0, 1.0),
+        brightness: Numbers = (1.0, 1.0),
         clip_output: bool = True,
         same_on_batch: bool = False,
         p: float = 1.0,
@@ -90,7 +91,7 @@ class RandomContrast(IntensityAugmentationBase2D):
 
     def __init__(
         self,
-        contrast: Any = (1.0, 1.0),
+        contrast: Numbers = (1.0, 1.0),
         clip_output: bool = True,
         same_on_batch: bool = False,
         p: float = 1.0,
@@ -129,7 +130,7 @@ class RandomSaturation(IntensityAugmentationBase2D):
 
     def __init__(
         self,
-        saturation: Any = (1.0, 1.0),
+        saturation: Numbers = (1.0, 1.0),
         same_on_batch: bool = False,
         p: float = 1.0,
         keepdim: bool = False,
@@ -166,7 +167,7 @@ class RandomHue(IntensityAugmentationBase2D):
 
     def __init__(
         self,
-        hue: Any = (0.0, 0.0),
+        hue: Numbers = (0.0, 0.0),
         same_on_batch: bool = False,
         p: float = 1.0,
         keepdim: bool = False,
@@ -200,8 +201,8 @@ class RandomGamma(IntensityAugmentationBase2D):
 
     def __init__(
         self,
-        gamma: Any = (1.0, 1.0),
-        gain: Any = (1.0, 1.0),
+        gamma: Numbers = (1.0, 1.0),
+        gain: Numbers = (1.0, 1.0),
         same_on_batch: bool = False,
         p: float = 1.0,
         keepdim: bool = False,
@@ -275,8 +276,8 @@ class RandomSolarize(IntensityAugmentationBase2D):
 
     def __init__(
         self,
-        thresholds: Any = 0.1,
-        additions: Any = 0.1,
+        thresholds: NumbersOfAxes = 0.1,
+        additions: NumbersOfAxes = 0.1,
         same_on_batch: bool = False,
         p: float = 0.5,
         keepdim: bool = False,
@@ -311,7 +312,7 @@ class RandomPosterize(IntensityAugmentationBase2D):
 
     def __init__(
         self,
-        bits: Any = 3,
+        bits: Numbers = 3,
         same_on_batch: bool = False,
         p: float = 0.5,
         keepdim: bool = False,

@@ -20,8 +20,9 @@ from kvision.augmentation.maps import warp, warp_labels
 from kvision.augmentation.random_generator.affine import AffineGenerator, ShearGenerator, TranslateGenerator
 from kvision.augmentation.random_generator.base import RandomGeneratorBase
 from kvision.augmentation.random_generator.plain import PlainUniformGenerator
+from kvision.augmentation.ranges import Numbers, NumbersOfAxes
 from kvision.augmentation.transforms import Transform, center_of, transform_matrix
-from kvision.constants import Resample, SamplePadding
+from kvision.constants import AnyResample, AnySamplePadding, Resample, SamplePadding
 from kvision.core.exceptions import TypeCheckError, ValueCheckError
 
 __all__ = ["RandomAffine", "RandomRotation", "RandomRotation90", "RandomShear", "RandomTranslate"]
@@ -59,15 +60,15 @@ class RandomAffine(AntialiasedByMatrix):
 
     def __init__(
         self,
-        degrees: Any,
-        translate: Any = None,
-        scale: Any = None,
-        shear: Any = None,
-        resample: str | int | Resample = Resample.BILINEAR.name,
+        degrees: NumbersOfAxes,
+        translate: NumbersOfAxes | None = None,
+        scale: NumbersOfAxes | None = None,
+        shear: NumbersOfAxes | None = None,
+        resample: AnyResample = Resample.BILINEAR.name,
         same_on_batch: bool = False,
         align_corners: bool = False,
-        padding_mode: str | int | SamplePadding = SamplePadding.ZEROS.name,
-        fill_value: Any = None,
+        padding_mode: AnySamplePadding = SamplePadding.ZEROS.name,
+        fill_value: Numbers | None = None,
         p: float = 0.5,
         keepdim: bool = False,
         *,
@@ -113,15 +114,15 @@ class RandomRotation(GeometricAugmentationBase2D):
 
     def __init__(
         self,
-        degrees: Any,
-        resample: str | int | Resample = Resample.BILINEAR.name,
+        degrees: Numbers,
+        resample: AnyResample = Resample.BILINEAR.name,
         same_on_batch: bool = False,
         align_corners: bool = True,
         p: float = 0.5,
         keepdim: bool = False,
         *,
-        padding_mode: str | int | SamplePadding = SamplePadding.ZEROS.name,
-        fill: Any = None,
+        padding_mode: AnySamplePadding = SamplePadding.ZEROS.name,
+        fill: Numbers | None = None,
         expand: bool = False,
         **options: Any,
     ) -> None:
@@ -215,11 +216,11 @@ class RandomShear(GeometricAugmentationBase2D):
 
     def __init__(
         self,
-        shear: Any,
-        resample: str | int | Resample = Resample.BILINEAR.name,
+        shear: NumbersOfAxes,
+        resample: AnyResample = Resample.BILINEAR.name,
         same_on_batch: bool = False,
         align_corners: bool = False,
-        padding_mode: str | int | SamplePadding = SamplePadding.ZEROS.name,
+        padding_mode: AnySamplePadding = SamplePadding.ZEROS.name,
         p: float = 0.5,
         keepdim: bool = False,
         **options: Any,
@@ -256,12 +257,12 @@ class RandomTranslate(GeometricAugmentationBase2D):
 
     def __init__(
         self,
-        translate_x: Any = None,
-        translate_y: Any = None,
-        resample: str | int | Resample = Resample.BILINEAR.name,
+        translate_x: Numbers | None = None,
+        translate_y: Numbers | None = None,
+        resample: AnyResample = Resample.BILINEAR.name,
         same_on_batch: bool = False,
         align_corners: bool = False,
-        padding_mode: str | int | SamplePadding = SamplePadding.ZEROS.name,
+        padding_mode: AnySamplePadding = SamplePadding.ZEROS.name,
         p: float = 0.5,
         keepdim: bool = False,
         **options: Any,
@@ -279,7 +280,7 @@ class _Rotation90Generator(RandomGeneratorBase):
 
     fields = (("angle", 0),)
 
-    def __init__(self, times: Any) -> None:
+    def __init__(self, times: Numbers) -> None:
         super().__init__()
         values = times.tolist() if hasattr(times, "tolist") else times
         if not isinstance(values, (tuple, list)) or len(values) != 2 or any(v != int(v) for v in values):
@@ -326,8 +327,8 @@ class RandomRotation90(GeometricAugmentationBase2D):
 
     def __init__(
         self,
-        times: Any,
-        resample: str | int | Resample = Resample.BILINEAR.name,
+        times: Numbers,
+        resample: AnyResample = Resample.BILINEAR.name,
         same_on_batch: bool = False,
         align_corners: bool = True,
         p: float = 0.5,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Literal, TypeAlias
 
 import torch
 from torch import Tensor
@@ -22,6 +22,8 @@ from kvision.augmentation.random_generator.planckian_data import BLACKBODY, CIED
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 
 __all__ = ["RandomChannelDropout", "RandomChannelShuffle", "RandomPlanckianJitter"]
+
+Illuminants: TypeAlias = Literal["blackbody", "CIED"]
 
 
 class RandomChannelShuffle(IntensityAugmentationBase2D, keeps_contract=True):
@@ -141,7 +143,7 @@ class RandomPlanckianJitter(IntensityAugmentationBase2D, keeps_contract=True):
 
     def __init__(
         self,
-        mode: str = "blackbody",
+        mode: Illuminants = "blackbody",
         select_from: int | Sequence[int] | None = None,
         same_on_batch: bool = False,
         p: float = 0.5,
@@ -150,8 +152,7 @@ class RandomPlanckianJitter(IntensityAugmentationBase2D, keeps_contract=True):
     ) -> None:
         super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
         tables = {"blackbody": BLACKBODY, "CIED": CIED}
-        if mode not in tables:
-            raise _UnknownModeError(f"RandomPlanckianJitter: expected mode to be 'blackbody' or 'CIED', got {mode!r}")
+        _check.choice("RandomPlanckianJitter", "mode", mode, tuple(tables), _UnknownModeError)
         table = tables[mode]
         select_from = _check.scalars("RandomPlanckianJitter", "select_from", select_from)
         rows = (

@@ -10,6 +10,7 @@ from torch import Tensor
 from kvision.augmentation.engine import Shape
 from kvision.augmentation.intensity_base import ColorStep, IntensityAugmentationBase2D
 from kvision.augmentation.random_generator.color_jitter import ColorJiggleGenerator, ColorJitterGenerator
+from kvision.augmentation.ranges import Numbers
 from kvision.core.exceptions import ValueCheckError
 
 __all__ = ["ColorJiggle", "ColorJitter"]
@@ -40,10 +41,10 @@ class ColorJitter(IntensityAugmentationBase2D):
 
     def __init__(
         self,
-        brightness: Any = 0.0,
-        contrast: Any = 0.0,
-        saturation: Any = 0.0,
-        hue: Any = 0.0,
+        brightness: Numbers = 0.0,
+        contrast: Numbers = 0.0,
+        saturation: Numbers = 0.0,
+        hue: Numbers = 0.0,
         same_on_batch: bool = False,
         p: float = 1.0,
         keepdim: bool = False,
@@ -90,10 +91,10 @@ class ColorJiggle(IntensityAugmentationBase2D):
 
     def __init__(
         self,
-        brightness: Any = 0.0,
-        contrast: Any = 0.0,
-        saturation: Any = 0.0,
-        hue: Any = 0.0,
+        brightness: Numbers = 0.0,
+        contrast: Numbers = 0.0,
+        saturation: Numbers = 0.0,
+        hue: Numbers = 0.0,
         same_on_batch: bool = False,
         p: float = 1.0,
         keepdim: bool = False,

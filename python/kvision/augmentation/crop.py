@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Literal, TypeAlias, get_args
 
 import torch
 from torch import Tensor, nn
 
 from kvision import _check, geometry
+from kvision._choices import CroppingMode
 from kvision._constants import constant
 from kvision.augmentation import ranges
 from kvision.augmentation.engine import Shape
@@ -22,15 +23,17 @@ from kvision.augmentation.random_generator.crop import (
     box_params,
     parse_padding,
 )
+from kvision.augmentation.ranges import Numbers
 from kvision.augmentation.transforms import Transform
 from kvision.augmentation.warp_and_color import Resampling
-from kvision.constants import Resample
+from kvision.constants import AnyResample, Resample
 from kvision.core.exceptions import ValueCheckError
 
 __all__ = ["CenterCrop", "FiveCrop", "MultiCrop", "RandomCrop", "RandomResizedCrop", "TenCrop"]
 
+PadMode: TypeAlias = Literal["constant", "replicate", "edge", "reflect", "symmetric"]
 # The modes of torch.nn.functional.pad, as warps call them, and whether they mirror at the centers of the outermost pixels.
-_PADDING = {
+_PADDING: dict[PadMode, tuple[str, bool]] = {
     "constant": ("fill", True),
     "replicate": ("border", True),
     "edge": ("border", True),
@@ -83,13 +86,13 @@ class RandomCrop(GeometricAugmentationBase2D):
         padding: int | tuple[int, int] | tuple[int, int, int, int] | None = None,
         pad_if_needed: bool | None = False,
         fill: float = 0,
-        padding_mode: str = "constant",
-        resample: str | int | Resample = Resample.BILINEAR.name,
+        padding_mode: PadMode = "constant",
+        resample: AnyResample = Resample.BILINEAR.name,
         same_on_batch: bool = False,
         align_corners: bool = True,
         p: float = 1.0,
         keepdim: bool = False,
-        cropping_mode: str = "slice",
+        cropping_mode: CroppingMode = "slice",
         **options: Any,
     ) -> None:
         super().__init__(p=1.0, p_batch=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
@@ -168,14 +171,14 @@ class RandomResizedCrop(GeometricAugmentationBase2D):
     def __init__(
         self,
         size: tuple[int, int],
-        scale: Any = (0.08, 1.0),
-        ratio: Any = (3.0 / 4.0, 4.0 / 3.0),
-        resample: str | int | Resample = Resample.BILINEAR.name,
+        scale: Numbers = (0.08, 1.0),
+        ratio: Numbers = (3.0 / 4.0, 4.0 / 3.0),
+        resample: AnyResample = Resample.BILINEAR.name,
         same_on_batch: bool = False,
         align_corners: bool = True,
         p: float = 1.0,
         keepdim: bool = False,
-        cropping_mode: str = "slice",
+        cropping_mode: CroppingMode = "slice",
         antialias: bool = False,
         **options: Any,
     ) -> None:
@@ -258,10 +261,10 @@ class CenterCrop(GeometricAugmentationBase2D):
         self,
         size: int | tuple[int, int],
         align_corners: bool = True,
-        resample: str | int | Resample = Resample.BILINEAR.name,
+        resample: AnyResample = Resample.BILINEAR.name,
         p: float = 1.0,
         keepdim: bool = False,
-        cropping_mode: str = "slice",
+        cropping_mode: CroppingMode = "slice",
         **options: Any,
     ) -> None:
         super().__init__(p=1.0, p_batch=p, same_on_batch=True, keepdim=keepdim, **options)
@@ -284,10 +287,9 @@ class CenterCrop(GeometricAugmentationBase2D):
         return [Transform.constant([[1.0, 0.0, -x], [0.0, 1.0, -y], [0.0, 0.0, 1.0]])]
 
 
-def check_cropping_mode(op: str, mode: str) -> None:
+def check_cropping_mode(op: str, mode: CroppingMode) -> None:
     """Raise unless `mode` is one of Kornia's."""
-    if mode not in ("slice", "resample"):
-        raise ValueCheckError(f"{op}: expected cropping_mode to be 'slice' or 'resample', got {mode!r}")
+    _check.choice(op, "cropping_mode", mode, get_args(CroppingMode))
 
 
 def four_sides(op: str, padding: Any) -> tuple[int, int, int, int]:
@@ -403,9 +405,9 @@ class MultiCrop(nn.Module):
         local_size: int | tuple[int, int] = 96,
         global_crops: int = 2,
         local_crops: int = 8,
-        global_scale: Any = (0.4, 1.0),
-        local_scale: Any = (0.05, 0.4),
-        ratio: Any = (3.0 / 4.0, 4.0 / 3.0),
+        global_scale: Numbers = (0.4, 1.0),
+        local_scale: Numbers = (0.05, 0.4),
+        ratio: Numbers = (3.0 / 4.0, 4.0 / 3.0),
         antialias: bool = True,
     ) -> None:
         super().__init__()

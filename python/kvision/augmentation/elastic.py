@@ -19,9 +19,10 @@ from kvision.augmentation.maps import vector
 from kvision.augmentation.noise import PixelNoise, noise_plan
 from kvision.augmentation.preimages import find_positions
 from kvision.augmentation.random_generator.elastic import ElasticGenerator, FisheyeGenerator, ThinPlateSplineGenerator
+from kvision.augmentation.ranges import Numbers
 from kvision.augmentation.samples import inverse_at, where_chosen
 from kvision.augmentation.warp_and_color import Resampling
-from kvision.constants import Resample, SamplePadding
+from kvision.constants import AnyResample, AnySamplePadding, Resample, SamplePadding
 from kvision.core.exceptions import TypeCheckError
 from kvision.geometry import get_tps_transform, warp_points_tps
 from kvision.geometry.linalg import root
@@ -188,8 +189,8 @@ class RandomElasticTransform(MapAugmentation, keeps_contract=True):
         sigma: tuple[float, float] = (32.0, 32.0),
         alpha: tuple[float, float] = (1.0, 1.0),
         align_corners: bool = False,
-        resample: str | int | Resample = Resample.BILINEAR.name,
-        padding_mode: str = "zeros",
+        resample: AnyResample = Resample.BILINEAR.name,
+        padding_mode: AnySamplePadding = "zeros",
         same_on_batch: bool = False,
         p: float = 0.5,
         keepdim: bool = False,
@@ -277,7 +278,7 @@ class RandomThinPlateSpline(MapAugmentation, keeps_contract=True):
         self,
         scale: float = 0.2,
         align_corners: bool = False,
-        padding_mode: str | int | SamplePadding = SamplePadding.ZEROS.name,
+        padding_mode: AnySamplePadding = SamplePadding.ZEROS.name,
         same_on_batch: bool = False,
         p: float = 0.5,
         keepdim: bool = False,
@@ -329,9 +330,9 @@ class RandomFisheye(MapAugmentation, keeps_contract=True):
 
     def __init__(
         self,
-        center_x: Any,
-        center_y: Any,
-        gamma: Any,
+        center_x: Numbers,
+        center_y: Numbers,
+        gamma: Numbers,
         same_on_batch: bool = False,
         p: float = 0.5,
         keepdim: bool = False,

@@ -13,6 +13,7 @@ from kvision.augmentation.engine import Execution, Params
 from kvision.augmentation.erase import erase_rectangles, is_erased
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
 from kvision.augmentation.random_generator.erase import RectangleEraseGenerator
+from kvision.augmentation.ranges import Numbers
 
 __all__ = ["RandomErasing"]
 
@@ -40,8 +41,8 @@ class RandomErasing(IntensityAugmentationBase2D, keeps_contract=True):
 
     def __init__(
         self,
-        scale: Any = (0.02, 0.33),
-        ratio: Any = (0.3, 3.3),
+        scale: Numbers = (0.02, 0.33),
+        ratio: Numbers = (0.3, 3.3),
         value: float | Sequence[float] | Tensor | str = 0.0,
         same_on_batch: bool = False,
         p: float = 0.5,

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check, enhance, filters
+from kvision._choices import Border
 from kvision._clamp import clamp
 from kvision.augmentation.engine import AugmentationBase, Execution, Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
@@ -20,7 +21,8 @@ from kvision.augmentation.random_generator.filters import (
     RandomGaussianBlurGenerator,
 )
 from kvision.augmentation.random_generator.plain import PlainUniformGenerator
-from kvision.constants import BorderType, Resample
+from kvision.augmentation.ranges import Numbers
+from kvision.constants import AnyBorderType, AnyResample, BorderType, Resample
 
 __all__ = [
     "RandomAutoContrast",
@@ -58,7 +60,7 @@ class RandomBoxBlur(IntensityAugmentationBase2D, keeps_contract=True):
     def __init__(
         self,
         kernel_size: tuple[int, int] = (3, 3),
-        border_type: str = "reflect",
+        border_type: Border = "reflect",
         normalized: bool = True,
         same_on_batch: bool = False,
         p: float = 0.5,
@@ -100,8 +102,8 @@ class RandomGaussianBlur(IntensityAugmentationBase2D, keeps_contract=True):
     def __init__(
         self,
         kernel_size: int | tuple[int, int],
-        sigma: Any,
-        border_type: str | int | BorderType = "reflect",
+        sigma: Numbers,
+        border_type: AnyBorderType = "reflect",
         separable: bool = True,
         same_on_batch: bool = False,
         p: float = 0.5,
@@ -221,10 +223,10 @@ class RandomMotionBlur(DrawnKernelSize, IntensityAugmentationBase2D, keeps_contr
     def __init__(
         self,
         kernel_size: int | tuple[int, int],
-        angle: Any,
-        direction: Any,
-        border_type: str | int | BorderType = BorderType.CONSTANT.name,
-        resample: str | int | Resample = Resample.NEAREST.name,
+        angle: Numbers,
+        direction: Numbers,
+        border_type: AnyBorderType = BorderType.CONSTANT.name,
+        resample: AnyResample = Resample.NEAREST.name,
         same_on_batch: bool = False,
         p: float = 0.5,
         keepdim: bool = False,
@@ -240,7 +242,8 @@ class RandomMotionBlur(DrawnKernelSize, IntensityAugmentationBase2D, keeps_contr
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
-        mode, border = Resample.get(flags["resample"]).name.lower(), border_name(flags["border_type"])
+        mode: Any = Resample.get(flags["resample"]).name.lower()
+        border = border_name(flags["border_type"])
         return self._blurred(input, params, partial(filters.motion_blur, border_type=border, mode=mode))
 
 
@@ -266,17 +269,17 @@ class RandomSharpness(IntensityAugmentationBase2D, keeps_contract=True):
 
     def __init__(
         self,
-        sharpness: Any = 0.5,
+        sharpness: Numbers = 0.5,
         same_on_batch: bool = False,
         p: float = 0.5,
         keepdim: bool = False,
         **options: Any,
     ) -> None:
         super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
-        if not isinstance(sharpness, (tuple, list)) and not (isinstance(sharpness, Tensor) and sharpness.dim()):
-            sharpness = (0.0, sharpness)
+        is_range = isinstance(sharpness, (tuple, list)) or (isinstance(sharpness, Tensor) and sharpness.dim())
+        values: Any = sharpness if is_range else (0.0, sharpness)
         self._param_generator = PlainUniformGenerator(
-            (sharpness, "sharpness", None, (0.0, float("inf"))), identity=[1.0], op="RandomSharpness"
+            (values, "sharpness", None, (0.0, float("inf"))), identity=[1.0], op="RandomSharpness"
         )
 
     accepts_bytes = False
@@ -394,7 +397,7 @@ class RandomClahe(IntensityAugmentationBase2D, keeps_contract=True):
 
     def __init__(
         self,
-        clip_limit: Any = (40.0, 40.0),
+        clip_limit: Numbers = (40.0, 40.0),
         grid_size: tuple[int, int] = (8, 8),
         slow_and_differentiable: bool = False,
         same_on_batch: bool = False,
@@ -439,7 +442,7 @@ class RandomJPEG(IntensityAugmentationBase2D, keeps_contract=True):
 
     def __init__(
         self,
-        jpeg_quality: Any = 50.0,
+        jpeg_quality: Numbers = 50.0,
         same_on_batch: bool = False,
         p: float = 1.0,
         keepdim: bool = False,
@@ -456,6 +459,6 @@ class RandomJPEG(IntensityAugmentationBase2D, keeps_contract=True):
         return enhance.jpeg_codec_differentiable(input, params["jpeg_quality"])
 
 
-def border_name(border: Any) -> str:
+def border_name(border: Any) -> Any:
     """The name of a border as kvision.filters takes it."""
     return BorderType.get(border).name.lower()

@@ -10,7 +10,7 @@ from torch import Tensor
 from kvision.augmentation.engine import Execution, Params, RigidAffineAugmentationBase3D
 from kvision.augmentation.geometric_base import GeometricAugmentation
 from kvision.augmentation.warp_and_color import Resampling, fill_of_images
-from kvision.constants import Resample
+from kvision.constants import AnyResample, Resample
 from kvision.core.exceptions import ValueCheckError
 from kvision.geometry.transform import sampling, warp3d
 
@@ -109,7 +109,7 @@ class GeometricAugmentationBase3D(GeometricAugmentation, RigidAffineAugmentation
         return self._warp(input, transform, tuple(size), self.resampling(flags).for_inverse(), inverse=False)
 
 
-def parse_resample(op: str, resample: str | int | Resample) -> Resample:
+def parse_resample(op: str, resample: AnyResample) -> Resample:
     """How volumes are read, if warps of volumes have that."""
     mode = Resample.get(resample)
     if mode not in (Resample.NEAREST, Resample.BILINEAR):

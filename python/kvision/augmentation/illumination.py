@@ -14,6 +14,7 @@ from kvision.augmentation.random_generator.illumination import (
     LinearCornerIlluminationGenerator,
     LinearIlluminationGenerator,
 )
+from kvision.augmentation.ranges import Numbers
 
 __all__ = ["RandomGaussianIllumination", "RandomLinearCornerIllumination", "RandomLinearIllumination"]
 
@@ -44,10 +45,10 @@ class RandomGaussianIllumination(IntensityAugmentationBase2D, keeps_contract=Tru
 
     def __init__(
         self,
-        gain: Any = (0.01, 0.15),
-        center: Any = (0.1, 0.9),
-        sigma: Any = (0.2, 1.0),
-        sign: Any = (-1.0, 1.0),
+        gain: Numbers = (0.01, 0.15),
+        center: Numbers = (0.1, 0.9),
+        sigma: Numbers = (0.2, 1.0),
+        sign: Numbers = (-1.0, 1.0),
         p: float = 0.5,
         same_on_batch: bool = False,
         keepdim: bool = False,
@@ -86,8 +87,8 @@ class RandomLinearIllumination(IntensityAugmentationBase2D, keeps_contract=True)
 
     def __init__(
         self,
-        gain: Any = (0.01, 0.2),
-        sign: Any = (-1.0, 1.0),
+        gain: Numbers = (0.01, 0.2),
+        sign: Numbers = (-1.0, 1.0),
         p: float = 0.5,
         same_on_batch: bool = False,
         keepdim: bool = False,
@@ -126,8 +127,8 @@ class RandomLinearCornerIllumination(IntensityAugmentationBase2D, keeps_contract
 
     def __init__(
         self,
-        gain: Any = (0.01, 0.2),
-        sign: Any = (-1.0, 1.0),
+        gain: Numbers = (0.01, 0.2),
+        sign: Numbers = (-1.0, 1.0),
         p: float = 0.5,
         same_on_batch: bool = False,
         keepdim: bool = False,

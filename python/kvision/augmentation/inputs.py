@@ -8,18 +8,19 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._choices import OutputType
 from kvision.augmentation.labels import BOX_FORMATS
 from kvision.constants import DataKey
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 
 WIDE_INTEGERS = (torch.int16, torch.uint16)  # whose values float32 holds
-OUTPUT_TYPES = ("pt", "numpy", "pil")
+OUTPUT_TYPES = get_args(OutputType)
 
 # --- images and pairs -----------------------------------------------------------------------------------------------
 
@@ -130,7 +131,7 @@ def check_output_type(module: Any, output_type: Any) -> None:
         _check.choice(type(module).__name__, "output_type", output_type, OUTPUT_TYPES)
 
 
-def as_output_type(output: Any, output_type: str, key: DataKey = DataKey.INPUT) -> Any:
+def as_output_type(output: Any, output_type: OutputType, key: DataKey = DataKey.INPUT) -> Any:
     """A result as a tensor, as an array, or as PIL images, which images and masks become; pairs keep their matrix."""
     if output_type == "pt":
         return output

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import nullcontext
-from typing import Any
+from typing import Any, get_args
 
 import torch
 from torch import Generator, Tensor
 
 from kvision import _check, geometry
+from kvision._choices import CroppingMode
 from kvision._constants import constant
 from kvision._dtype import compute_dtype, floats
 from kvision._modes import INTERPOLATION, PADDING
@@ -24,8 +25,9 @@ from kvision.augmentation.random_generator.mix import (
     MosaicGenerator,
     PatchMixGenerator,
 )
+from kvision.augmentation.ranges import Numbers
 from kvision.augmentation.samples import where_chosen
-from kvision.constants import DataKey, Resample
+from kvision.constants import AnyResample, DataKey, DataKeys, Resample
 from kvision.core.exceptions import BaseError, ShapeError, ValueCheckError
 from kvision.geometry.transform import sampling
 
@@ -79,7 +81,7 @@ class MixAugmentationBaseV2(AugmentationBase2D, keeps_contract=True):
         p_batch: float,
         same_on_batch: bool = False,
         keepdim: bool = False,
-        data_keys: Sequence[str | int | DataKey] | None = None,
+        data_keys: DataKeys | None = None,
         **options: Any,
     ) -> None:
         op = type(self).__name__
@@ -102,7 +104,7 @@ class MixAugmentationBaseV2(AugmentationBase2D, keeps_contract=True):
         self,
         *input: Any,
         params: Params | None = None,
-        data_keys: Sequence[str | int | DataKey] | None = None,
+        data_keys: DataKeys | None = None,
         seed: Seed = None,
         generator: Generator | None = None,
     ) -> Any:
@@ -318,11 +320,11 @@ class RandomMixUpV2(MixAugmentationBaseV2, keeps_contract=True):
 
     def __init__(
         self,
-        lambda_val: Any = None,
+        lambda_val: Numbers | None = None,
         same_on_batch: bool = False,
         p: float = 1.0,
         keepdim: bool = False,
-        data_keys: Sequence[str | int | DataKey] | None = None,
+        data_keys: DataKeys | None = None,
         **options: Any,
     ) -> None:
         super().__init__(1.0, p, same_on_batch, keepdim, data_keys, **options)
@@ -394,12 +396,12 @@ class RandomCutMixV2(MixAugmentationBaseV2, keeps_contract=True):
     def __init__(
         self,
         num_mix: int = 1,
-        cut_size: Any = None,
-        beta: Any = None,
+        cut_size: Numbers | None = None,
+        beta: float | Tensor | None = None,
         same_on_batch: bool = False,
         p: float = 1.0,
         keepdim: bool = False,
-        data_keys: Sequence[str | int | DataKey] | None = None,
+        data_keys: DataKeys | None = None,
         use_correct_lambda: bool = False,
         **options: Any,
     ) -> None:
@@ -484,7 +486,7 @@ class PatchMix(MixAugmentationBaseV2, keeps_contract=True):
         p: float = 1.0,
         same_on_batch: bool = False,
         keepdim: bool = False,
-        data_keys: Sequence[str | int | DataKey] | None = None,
+        data_keys: DataKeys | None = None,
         **options: Any,
     ) -> None:
         super().__init__(p, 1.0, same_on_batch, keepdim, data_keys, **options)
@@ -537,7 +539,7 @@ class RandomJigsaw(MixAugmentationBaseV2, keeps_contract=True):
     def __init__(
         self,
         grid: tuple[int, int] = (4, 4),
-        data_keys: Sequence[str | int | DataKey] | None = None,
+        data_keys: DataKeys | None = None,
         p: float = 0.5,
         same_on_batch: bool = False,
         keepdim: bool = False,
@@ -632,18 +634,19 @@ class RandomMosaic(MixAugmentationBaseV2, keeps_contract=True):
         mosaic_grid: tuple[int, int] = (2, 2),
         start_ratio_range: tuple[float, float] = (0.3, 0.7),
         min_bbox_size: float = 0.0,
-        data_keys: Sequence[str | int | DataKey] | None = None,
+        data_keys: DataKeys | None = None,
         p: float = 0.7,
         keepdim: bool = False,
         padding_mode: str = "constant",
-        resample: str | int | Resample = Resample.BILINEAR.name,
+        resample: AnyResample = Resample.BILINEAR.name,
         align_corners: bool = True,
-        cropping_mode: str = "slice",
+        cropping_mode: CroppingMode = "slice",
         **options: Any,
     ) -> None:
         super().__init__(p, 1.0, False, keepdim, data_keys, **options)
         self._param_generator: MosaicGenerator = MosaicGenerator(output_size, mosaic_grid, start_ratio_range)
         self.min_bbox_size = float(min_bbox_size)
+        _check.choice("RandomMosaic", "cropping_mode", cropping_mode, get_args(CroppingMode))
         self.flags = {
             "output_size": output_size,
             "mosaic_grid": mosaic_grid,
@@ -683,7 +686,7 @@ class RandomMosaic(MixAugmentationBaseV2, keeps_contract=True):
         size = (mixed.shape[-2], mixed.shape[-1])
         if x.shape[-2:] == size:
             return x
-        mode = Resample.get(self.flags["resample"]).name.lower()
+        mode: Any = Resample.get(self.flags["resample"]).name.lower()
         return geometry.resize(x, size, mode, align_corners=None if mode == "nearest" else self.flags["align_corners"])
 
     def apply_transform(

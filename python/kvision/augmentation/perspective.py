@@ -9,9 +9,9 @@ from torch import Tensor
 
 from kvision.augmentation.engine import Shape
 from kvision.augmentation.geometric_base import AntialiasedByMatrix
-from kvision.augmentation.random_generator.perspective import PerspectiveGenerator, corners
+from kvision.augmentation.random_generator.perspective import PerspectiveGenerator, SamplingMethod, corners
 from kvision.augmentation.transforms import Transform
-from kvision.constants import Resample
+from kvision.constants import AnyResample, Resample
 
 __all__ = ["RandomPerspective"]
 
@@ -45,12 +45,12 @@ class RandomPerspective(AntialiasedByMatrix):
     def __init__(
         self,
         distortion_scale: float | Tensor = 0.5,
-        resample: str | int | Resample = Resample.BILINEAR.name,
+        resample: AnyResample = Resample.BILINEAR.name,
         same_on_batch: bool = False,
         align_corners: bool = False,
         p: float = 0.5,
         keepdim: bool = False,
-        sampling_method: str = "basic",
+        sampling_method: SamplingMethod = "basic",
         *,
         antialias: bool = False,
         **options: Any,

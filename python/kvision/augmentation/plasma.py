@@ -13,6 +13,7 @@ from kvision._clamp import clamp
 from kvision.augmentation.engine import Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
 from kvision.augmentation.random_generator.plasma import PlasmaGenerator
+from kvision.augmentation.ranges import Numbers
 
 __all__ = ["RandomPlasmaBrightness", "RandomPlasmaContrast", "RandomPlasmaShadow"]
 
@@ -40,8 +41,8 @@ class RandomPlasmaBrightness(IntensityAugmentationBase2D, keeps_contract=True):
 
     def __init__(
         self,
-        roughness: Any = (0.1, 0.7),
-        intensity: Any = (0.0, 1.0),
+        roughness: Numbers = (0.1, 0.7),
+        intensity: Numbers = (0.0, 1.0),
         same_on_batch: bool = False,
         p: float = 0.5,
         keepdim: bool = False,
@@ -81,7 +82,7 @@ class RandomPlasmaContrast(IntensityAugmentationBase2D, keeps_contract=True):
 
     def __init__(
         self,
-        roughness: Any = (0.1, 0.7),
+        roughness: Numbers = (0.1, 0.7),
         same_on_batch: bool = False,
         p: float = 0.5,
         keepdim: bool = False,
@@ -121,9 +122,9 @@ class RandomPlasmaShadow(IntensityAugmentationBase2D, keeps_contract=True):
 
     def __init__(
         self,
-        roughness: Any = (0.1, 0.7),
-        shade_intensity: Any = (-1.0, 0.0),
-        shade_quantity: Any = (0.0, 1.0),
+        roughness: Numbers = (0.1, 0.7),
+        shade_intensity: Numbers = (-1.0, 0.0),
+        shade_quantity: Numbers = (0.0, 1.0),
         same_on_batch: bool = False,
         p: float = 0.5,
         keepdim: bool = False,

@@ -12,6 +12,7 @@ from kvision.augmentation.engine import Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
 from kvision.augmentation.noise import gaussian_noise, salt_and_pepper
 from kvision.augmentation.random_generator.noise import GaussianNoiseGenerator, SaltAndPepperGenerator
+from kvision.augmentation.ranges import Numbers
 
 __all__ = ["RandomGaussianNoise", "RandomSaltAndPepperNoise"]
 
@@ -89,8 +90,8 @@ class RandomSaltAndPepperNoise(IntensityAugmentationBase2D, keeps_contract=True)
 
     def __init__(
         self,
-        amount: Any = (0.01, 0.06),
-        salt_vs_pepper: Any = (0.4, 0.6),
+        amount: Numbers = (0.01, 0.06),
+        salt_vs_pepper: Numbers = (0.4, 0.6),
         p: float = 0.5,
         same_on_batch: bool = False,
         keepdim: bool = False,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import torch
 from torch import Tensor, nn
@@ -11,6 +11,10 @@ from torch import Tensor, nn
 from kvision import _check
 from kvision.augmentation.draws import Draw, uniform
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
+
+# What constructors take, for type checkers and editors: a number, some of them, or a tensor, which may get gradients.
+Numbers: TypeAlias = float | Sequence[float] | Tensor
+NumbersOfAxes: TypeAlias = Numbers | Sequence[Sequence[float]]  # or some numbers for each axis
 
 
 class LearnedUniform(NamedTuple):

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Literal, TypeAlias, get_args
 
 from torch import Tensor
 
 from kvision import _check, geometry
+from kvision._choices import ResizeSide
 from kvision.augmentation import ranges
-from kvision.augmentation.crop import four_sides, padding_resampling
+from kvision.augmentation.crop import PadMode, four_sides, padding_resampling
 from kvision.augmentation.draws import Draw
 from kvision.augmentation.engine import Shape
 from kvision.augmentation.geometric_base import GeometricAugmentationBase2D
@@ -18,12 +19,13 @@ from kvision.augmentation.random_generator.base import RandomGeneratorBase
 from kvision.augmentation.random_generator.crop import ResizeGenerator
 from kvision.augmentation.transforms import Transform
 from kvision.augmentation.warp_and_color import Resampling
-from kvision.constants import Resample
+from kvision.constants import AnyResample, Resample
 from kvision.core.exceptions import ValueCheckError
 
 __all__ = ["LongestMaxSize", "Pad", "PadIfNeeded", "PadTo", "Resize", "SmallestMaxSize"]
 
-_POSITIONS = ("center", "top_left", "top_right", "bottom_left", "bottom_right", "random")
+Position: TypeAlias = Literal["center", "top_left", "top_right", "bottom_left", "bottom_right", "random"]
+_POSITIONS = get_args(Position)
 
 
 class Resize(GeometricAugmentationBase2D):
@@ -53,8 +55,8 @@ class Resize(GeometricAugmentationBase2D):
     def __init__(
         self,
         size: int | tuple[int, int],
-        side: str = "short",
-        resample: str | int | Resample = Resample.BILINEAR.name,
+        side: ResizeSide = "short",
+        resample: AnyResample = Resample.BILINEAR.name,
         align_corners: bool = True,
         antialias: bool = False,
         p: float = 1.0,
@@ -91,14 +93,17 @@ class Resize(GeometricAugmentationBase2D):
     def _warp(self, x: Tensor, matrix: Tensor, flags: dict[str, Any]) -> Tensor:
         if not flags["antialias"]:
             return super()._warp(x, matrix, flags)
-        mode, size = Resample.get(flags["resample"]).name.lower(), self.output_size(tuple(x.shape), flags)
+        mode: Any = Resample.get(flags["resample"]).name.lower()
+        size = self.output_size(tuple(x.shape), flags)
         return geometry.resize(x, size, mode, align_corners=flags["align_corners"], antialias=True)
 
     def _warp_list(self, images: list[Tensor], matrix: Tensor, size: Sequence[int], flags: dict[str, Any]) -> Tensor:
         if not flags["antialias"]:
             return super()._warp_list(images, matrix, size, flags)
-        mode, size = Resample.get(flags["resample"]).name.lower(), (size[0], size[1])
-        resized: Tensor = geometry.resize(images, size, mode, align_corners=flags["align_corners"], antialias=True)
+        mode: Any = Resample.get(flags["resample"]).name.lower()
+        resized: Tensor = geometry.resize(
+            images, (size[0], size[1]), mode, align_corners=flags["align_corners"], antialias=True
+        )
         return resized
 
 
@@ -123,7 +128,7 @@ class LongestMaxSize(Resize):
     def __init__(
         self,
         max_size: int,
-        resample: str | int | Resample = Resample.BILINEAR.name,
+        resample: AnyResample = Resample.BILINEAR.name,
         align_corners: bool = True,
         p: float = 1.0,
         **options: Any,
@@ -152,7 +157,7 @@ class SmallestMaxSize(Resize):
     def __init__(
         self,
         max_size: int,
-        resample: str | int | Resample = Resample.BILINEAR.name,
+        resample: AnyResample = Resample.BILINEAR.name,
         align_corners: bool = True,
         p: float = 1.0,
         **options: Any,
@@ -186,7 +191,7 @@ class PadTo(GeometricAugmentationBase2D):
     def __init__(
         self,
         size: tuple[int, int],
-        pad_mode: str = "constant",
+        pad_mode: PadMode = "constant",
         pad_value: float = 0,
         keepdim: bool = False,
         crop_if_exceeds: bool = True,
@@ -240,7 +245,7 @@ class Pad(GeometricAugmentationBase2D):
         self,
         padding: int | tuple[int, int] | tuple[int, int, int, int],
         fill: float = 0,
-        padding_mode: str = "constant",
+        padding_mode: PadMode = "constant",
         p: float = 1.0,
         keepdim: bool = False,
         **options: Any,
@@ -276,7 +281,7 @@ class _PositionGenerator(RandomGeneratorBase):
 
     fields = (("shift", 2),)
 
-    def __init__(self, minima: Sequence[int | None], divisors: Sequence[int | None], position: str) -> None:
+    def __init__(self, minima: Sequence[int | None], divisors: Sequence[int | None], position: Position) -> None:
         super().__init__()
         self._minima, self._divisors, self.position = minima, divisors, position
 
@@ -335,8 +340,8 @@ class PadIfNeeded(GeometricAugmentationBase2D):
         min_width: int | None = 1024,
         pad_height_divisor: int | None = None,
         pad_width_divisor: int | None = None,
-        position: str = "center",
-        padding_mode: str = "constant",
+        position: Position = "center",
+        padding_mode: PadMode = "constant",
         fill: float = 0,
         same_on_batch: bool = False,
         p: float = 1.0,

@@ -17,7 +17,7 @@ from kvision.augmentation.labels import parse_data_keys
 from kvision.augmentation.mix import MixAugmentationBaseV2
 from kvision.augmentation.random_generator.base import RandomGeneratorBase, Shape
 from kvision.augmentation.samples import per_sample
-from kvision.constants import DataKey
+from kvision.constants import DataKey, DataKeys
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 
 __all__ = ["RandomTransplantation", "RandomTransplantation3D"]
@@ -67,7 +67,7 @@ class RandomTransplantation(MixAugmentationBaseV2):
         excluded_labels: Sequence[int] | Tensor | None = None,
         p: float = 0.5,
         p_batch: float = 1.0,
-        data_keys: Sequence[str | int | DataKey] | None = None,
+        data_keys: DataKeys | None = None,
         **options: Any,
     ) -> None:
         super().__init__(p, p_batch, data_keys=["input", "mask"] if data_keys is None else data_keys, **options)
@@ -84,7 +84,7 @@ class RandomTransplantation(MixAugmentationBaseV2):
         self,
         *input: Tensor,
         params: Params | None = None,
-        data_keys: Sequence[str | int | DataKey] | None = None,
+        data_keys: DataKeys | None = None,
         seed: Seed = None,
         generator: Generator | None = None,
         **kwargs: Any,

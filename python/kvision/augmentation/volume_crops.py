@@ -11,7 +11,7 @@ from torch import Tensor
 from kvision._constants import constant
 from kvision._dtype import compute_dtype
 from kvision.augmentation import ranges
-from kvision.augmentation.crop import padding_resampling
+from kvision.augmentation.crop import PadMode, padding_resampling
 from kvision.augmentation.engine import Params, Shape
 from kvision.augmentation.geometric3d_base import GeometricAugmentationBase3D, parse_resample
 from kvision.augmentation.random_generator.base import RandomGeneratorBase
@@ -24,8 +24,9 @@ from kvision.augmentation.random_generator.volumes import (
     center_corner,
     parse_size3d,
 )
+from kvision.augmentation.ranges import Numbers
 from kvision.augmentation.warp_and_color import Resampling
-from kvision.constants import Resample
+from kvision.constants import AnyResample, Resample
 
 __all__ = ["CenterCrop3D", "RandomCrop3D", "RandomResizedCrop3D", "Resize3D"]
 
@@ -63,9 +64,9 @@ class RandomCrop3D(GeometricAugmentationBase3D, keeps_contract=True):
         size: int | tuple[int, int, int],
         padding: int | tuple[int, ...] | None = None,
         pad_if_needed: bool | None = False,
-        fill: Any = 0,
-        padding_mode: str = "constant",
-        resample: str | int | Resample = Resample.BILINEAR.name,
+        fill: Numbers = 0,
+        padding_mode: PadMode = "constant",
+        resample: AnyResample = Resample.BILINEAR.name,
         same_on_batch: bool = False,
         align_corners: bool = True,
         p: float = 1.0,
@@ -155,10 +156,10 @@ class CenterCrop3D(GeometricAugmentationBase3D, keeps_contract=True):
         self,
         size: int | tuple[int, int, int],
         align_corners: bool = True,
-        resample: str | int | Resample = Resample.BILINEAR.name,
+        resample: AnyResample = Resample.BILINEAR.name,
         p: float = 1.0,
         keepdim: bool = False,
-        fill_value: Any = None,
+        fill_value: Numbers | None = None,
         **options: Any,
     ) -> None:
         super().__init__(p=1.0, p_batch=p, same_on_batch=True, keepdim=keepdim, **options)
@@ -236,9 +237,9 @@ class RandomResizedCrop3D(_ResizedBox3D):
     def __init__(
         self,
         size: int | tuple[int, int, int],
-        scale: Any = (0.08, 1.0),
-        ratio: Any = (3.0 / 4.0, 4.0 / 3.0),
-        resample: str | int | Resample = Resample.BILINEAR.name,
+        scale: Numbers = (0.08, 1.0),
+        ratio: Numbers = (3.0 / 4.0, 4.0 / 3.0),
+        resample: AnyResample = Resample.BILINEAR.name,
         same_on_batch: bool = False,
         align_corners: bool = True,
         p: float = 1.0,
@@ -275,7 +276,7 @@ class Resize3D(_ResizedBox3D):
     def __init__(
         self,
         size: int | tuple[int, int, int],
-        resample: str | int | Resample = Resample.BILINEAR.name,
+        resample: AnyResample = Resample.BILINEAR.name,
         align_corners: bool = True,
         p: float = 1.0,
         keepdim: bool = False,

@@ -20,7 +20,8 @@ from kvision.augmentation.random_generator.volumes import (
     PerspectiveGenerator3D,
     RotationGenerator3D,
 )
-from kvision.constants import BorderType, Resample
+from kvision.augmentation.ranges import Numbers, NumbersOfAxes
+from kvision.constants import AnyBorderType, AnyResample, BorderType, Resample
 from kvision.geometry.transform import get_affine_matrix3d, matrices
 
 __all__ = [
@@ -68,16 +69,16 @@ class RandomAffine3D(GeometricAugmentationBase3D, keeps_contract=True):
 
     def __init__(
         self,
-        degrees: Any,
-        translate: Any = None,
-        scale: Any = None,
-        shears: Any = None,
-        resample: str | int | Resample = Resample.BILINEAR.name,
+        degrees: NumbersOfAxes,
+        translate: NumbersOfAxes | None = None,
+        scale: NumbersOfAxes | None = None,
+        shears: NumbersOfAxes | None = None,
+        resample: AnyResample = Resample.BILINEAR.name,
         same_on_batch: bool = False,
         align_corners: bool = False,
         p: float = 0.5,
         keepdim: bool = False,
-        fill_value: Any = None,
+        fill_value: Numbers | None = None,
         **options: Any,
     ) -> None:
         super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
@@ -122,13 +123,13 @@ class RandomRotation3D(GeometricAugmentationBase3D, keeps_contract=True):
 
     def __init__(
         self,
-        degrees: Any,
-        resample: str | int | Resample = Resample.BILINEAR.name,
+        degrees: NumbersOfAxes,
+        resample: AnyResample = Resample.BILINEAR.name,
         same_on_batch: bool = False,
         align_corners: bool = False,
         p: float = 0.5,
         keepdim: bool = False,
-        fill_value: Any = None,
+        fill_value: Numbers | None = None,
         **options: Any,
     ) -> None:
         super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
@@ -171,12 +172,12 @@ class RandomPerspective3D(GeometricAugmentationBase3D, keeps_contract=True):
     def __init__(
         self,
         distortion_scale: float | Tensor = 0.5,
-        resample: str | int | Resample = Resample.BILINEAR.name,
+        resample: AnyResample = Resample.BILINEAR.name,
         same_on_batch: bool = False,
         align_corners: bool = False,
         p: float = 0.5,
         keepdim: bool = False,
-        fill_value: Any = None,
+        fill_value: Numbers | None = None,
         **options: Any,
     ) -> None:
         super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
@@ -348,10 +349,10 @@ class RandomMotionBlur3D(DrawnKernelSize, IntensityAugmentationBase3D, keeps_con
     def __init__(
         self,
         kernel_size: int | tuple[int, int],
-        angle: Any,
-        direction: Any,
-        border_type: str | int | BorderType = BorderType.CONSTANT.name,
-        resample: str | int | Resample = Resample.NEAREST.name,
+        angle: NumbersOfAxes,
+        direction: Numbers,
+        border_type: AnyBorderType = BorderType.CONSTANT.name,
+        resample: AnyResample = Resample.NEAREST.name,
         same_on_batch: bool = False,
         p: float = 0.5,
         keepdim: bool = False,
@@ -367,5 +368,6 @@ class RandomMotionBlur3D(DrawnKernelSize, IntensityAugmentationBase3D, keeps_con
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
-        mode, border = Resample.get(flags["resample"]).name.lower(), border_name(flags["border_type"])
+        mode: Any = Resample.get(flags["resample"]).name.lower()
+        border = border_name(flags["border_type"])
         return self._blurred(input, params, partial(filters.motion_blur3d, border_type=border, mode=mode))

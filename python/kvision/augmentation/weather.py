@@ -13,6 +13,7 @@ from kvision.augmentation.engine import Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
 from kvision.augmentation.random_generator.plain import PlainUniformGenerator
 from kvision.augmentation.random_generator.weather import RainGenerator
+from kvision.augmentation.ranges import Numbers
 from kvision.color.hls import hls_to_rgb, rgb_to_hls
 from kvision.core.exceptions import ShapeError
 
@@ -45,9 +46,9 @@ class RandomRain(IntensityAugmentationBase2D, keeps_contract=True):
 
     def __init__(
         self,
-        number_of_drops: Any = (1000, 2000),
-        drop_height: Any = (5, 20),
-        drop_width: Any = (-5, 5),
+        number_of_drops: Numbers = (1000, 2000),
+        drop_height: Numbers = (5, 20),
+        drop_width: Numbers = (-5, 5),
         same_on_batch: bool = False,
         p: float = 0.5,
         keepdim: bool = False,
@@ -108,8 +109,8 @@ class RandomSnow(IntensityAugmentationBase2D, keeps_contract=True):
 
     def __init__(
         self,
-        snow_coefficient: Any = (0.5, 0.5),
-        brightness: Any = (2, 2),
+        snow_coefficient: Numbers = (0.5, 0.5),
+        brightness: Numbers = (2, 2),
         same_on_batch: bool = False,
         p: float = 1.0,
         keepdim: bool = False,

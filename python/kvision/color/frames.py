@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Literal, TypeAlias, get_args
 
 import torch
 import torch.nn.functional as F
@@ -16,11 +16,21 @@ from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 
 __all__ = ["frames_to_rgb", "resize_frames", "rgb_to_frames", "warp_frames"]
 
+Matrix: TypeAlias = Literal["bt601", "bt709", "bt2020"]
+Layout: TypeAlias = Literal["nv12", "nv21", "i420", "yuy2", "p010"]
+_LAYOUTS = get_args(Layout)
+ColorRange: TypeAlias = Literal["limited", "full"]
+_RANGES = get_args(ColorRange)
+Chroma: TypeAlias = Literal["nearest", "linear"]
+_CHROMAS = get_args(Chroma)
+Siting: TypeAlias = Literal["left", "center", "topleft"]
+_SITINGS = get_args(Siting)
 # The shares of red and blue in luma (ITU-R BT.601-7, BT.709-6, BT.2020-2 with non-constant luminance).
-_LUMA = {"bt601": (0.299, 0.114), "bt709": (0.2126, 0.0722), "bt2020": (0.2627, 0.0593)}
-_LAYOUTS = ("nv12", "nv21", "i420", "yuy2", "p010")
-_RANGES = ("limited", "full")
-_SITINGS = ("left", "center", "topleft")
+_LUMA: dict[Matrix, tuple[float, float]] = {
+    "bt601": (0.299, 0.114),
+    "bt709": (0.2126, 0.0722),
+    "bt2020": (0.2627, 0.0593),
+}
 _DTYPES = tuple(getattr(torch, name) for name in DTYPE)
 
 # The weight of luma pixels 2 c - 1 to 2 c + 2 for chroma sample c along an axis, by where the sample is: `nearest` repeats it,
@@ -165,7 +175,7 @@ _planes_to_rgb = register(
 # --- what the codes mean ---------------------------------------------------------------------------------------------
 
 
-def _codes(layout: str, color_range: str, dtype: torch.dtype) -> tuple[float, float, float, float, float]:
+def _codes(layout: Layout, color_range: ColorRange, dtype: torch.dtype) -> tuple[float, float, float, float, float]:
     """Of stored codes: black, white minus black, gray of chroma, the width of chroma, the largest code; y = (code - black) / ..."""
     bits = 10 if layout == "p010" else 8
     step = 1 << (bits - 8)
@@ -175,7 +185,7 @@ def _codes(layout: str, color_range: str, dtype: torch.dtype) -> tuple[float, fl
     return black * unit, luma * unit, (128 * step) * unit, chroma * unit, largest * unit
 
 
-def _rgb_of_ycc(matrix: str) -> list[list[float]]:
+def _rgb_of_ycc(matrix: Matrix) -> list[list[float]]:
     """RGB of luma in [0, 1] and chroma in [-0.5, 0.5]."""
     red, blue = _LUMA[matrix]
     green = 1 - red - blue
@@ -183,7 +193,7 @@ def _rgb_of_ycc(matrix: str) -> list[list[float]]:
     return [[1.0, 0.0, of_red], [1.0, -blue * of_blue / green, -red * of_red / green], [1.0, of_blue, 0.0]]
 
 
-def _ycc_of_rgb(matrix: str) -> list[list[float]]:
+def _ycc_of_rgb(matrix: Matrix) -> list[list[float]]:
     red, blue = _LUMA[matrix]
     green = 1 - red - blue
     of_red, of_blue = 2 * (1 - red), 2 * (1 - blue)
@@ -195,7 +205,7 @@ def _ycc_of_rgb(matrix: str) -> list[list[float]]:
 
 
 def _color_numbers(
-    codes: tuple[float, ...], matrix: str, mean: Sequence[float], std: Sequence[float], levels: float
+    codes: tuple[float, ...], matrix: Matrix, mean: Sequence[float], std: Sequence[float], levels: float
 ) -> list[float]:
     """The numbers of the operator: conversion, normalization and the factor `levels` are one affine map."""
     black, luma, gray, chroma, _ = codes
@@ -212,7 +222,7 @@ def _color_numbers(
 # --- layouts ---------------------------------------------------------------------------------------------------------
 
 
-def _whole_frame(op: str, x: Tensor, layout: str) -> tuple[Tensor, Tensor, Tensor]:
+def _whole_frame(op: str, x: Tensor, layout: Layout) -> tuple[Tensor, Tensor, Tensor]:
     """The planes of frames (B, rows, W) in one tensor."""
     rows, width = x.shape[-2:]
     height = rows * 2 // 3
@@ -232,7 +242,7 @@ def _whole_frame(op: str, x: Tensor, layout: str) -> tuple[Tensor, Tensor, Tenso
     return y, u, v
 
 
-def _planes(op: str, planes: Any, layout: str, size: Any) -> tuple[Tensor, Tensor, Tensor, bool]:
+def _planes(op: str, planes: Any, layout: Layout, size: Any) -> tuple[Tensor, Tensor, Tensor, bool]:
     """y (B, H, W), u and v of the displayed part of frames, as views, and whether it is one frame without a batch."""
     _check.choice(op, "layout", layout, _LAYOUTS)
     parts = tuple(planes) if isinstance(planes, (tuple, list)) else (planes,)
@@ -310,7 +320,7 @@ def _check_colors(op: str, matrix: Any, color_range: Any, chroma: Any, siting: A
     """The number of the chroma's siting."""
     _check.choice(op, "matrix", matrix, tuple(_LUMA))
     _check.choice(op, "color_range", color_range, _RANGES)
-    _check.choice(op, "chroma", chroma, ("nearest", "linear"))
+    _check.choice(op, "chroma", chroma, _CHROMAS)
     _check.choice(op, "siting", siting, _SITINGS)
     return 0 if chroma == "nearest" else 1 + _SITINGS.index(siting)
 
@@ -330,11 +340,11 @@ def _run(
     planes: Any,
     map: Tensor | None,
     dsize: Any,
-    layout: str,
-    matrix: str,
-    color_range: str,
-    chroma: str,
-    siting: str,
+    layout: Layout,
+    matrix: Matrix,
+    color_range: ColorRange,
+    chroma: Chroma,
+    siting: Siting,
     size: Any,
     mean: Any,
     std: Any,
@@ -375,12 +385,12 @@ def _run(
 
 def frames_to_rgb(
     planes: Tensor | Sequence[Tensor],
-    layout: str = "nv12",
+    layout: Layout = "nv12",
     *,
-    matrix: str = "bt601",
-    color_range: str = "limited",
-    chroma: str = "nearest",
-    siting: str = "left",
+    matrix: Matrix = "bt601",
+    color_range: ColorRange = "limited",
+    chroma: Chroma = "nearest",
+    siting: Siting = "left",
     size: tuple[int, int] | None = None,
     mean: float | Sequence[float] | None = None,
     std: float | Sequence[float] | None = None,
@@ -434,13 +444,13 @@ def resize_frames(
     planes: Tensor | Sequence[Tensor],
     dsize: int | tuple[int, int],
     boxes: Tensor | None = None,
-    layout: str = "nv12",
+    layout: Layout = "nv12",
     *,
     antialias: bool = False,
-    matrix: str = "bt601",
-    color_range: str = "limited",
-    chroma: str = "nearest",
-    siting: str = "left",
+    matrix: Matrix = "bt601",
+    color_range: ColorRange = "limited",
+    chroma: Chroma = "nearest",
+    siting: Siting = "left",
     size: tuple[int, int] | None = None,
     mean: float | Sequence[float] | None = None,
     std: float | Sequence[float] | None = None,
@@ -494,12 +504,12 @@ def warp_frames(
     planes: Tensor | Sequence[Tensor],
     M: Tensor,
     dsize: int | tuple[int, int],
-    layout: str = "nv12",
+    layout: Layout = "nv12",
     *,
-    matrix: str = "bt601",
-    color_range: str = "limited",
-    chroma: str = "nearest",
-    siting: str = "left",
+    matrix: Matrix = "bt601",
+    color_range: ColorRange = "limited",
+    chroma: Chroma = "nearest",
+    siting: Siting = "left",
     size: tuple[int, int] | None = None,
     mean: float | Sequence[float] | None = None,
     std: float | Sequence[float] | None = None,
@@ -568,12 +578,12 @@ def _subsampled(x: Tensor, dim: int, kind: int) -> Tensor:
 
 def rgb_to_frames(
     image: Tensor,
-    layout: str = "nv12",
+    layout: Layout = "nv12",
     *,
-    matrix: str = "bt601",
-    color_range: str = "limited",
-    chroma: str = "nearest",
-    siting: str = "left",
+    matrix: Matrix = "bt601",
+    color_range: ColorRange = "limited",
+    chroma: Chroma = "nearest",
+    siting: Siting = "left",
     split: bool = False,
     dtype: torch.dtype | None = None,
 ) -> Any:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal, TypeAlias, get_args
+
 import torch
 from torch import Tensor, nn
 
@@ -11,6 +13,11 @@ from kvision.color import rgb_to_grayscale
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 from kvision.geometry import RANSAC, find_homography_dlt_iterated
 from kvision.geometry.transform import warp_perspective
+
+Estimator: TypeAlias = Literal["ransac", "vanilla"]
+_ESTIMATORS = get_args(Estimator)
+Blending: TypeAlias = Literal["naive"]
+_BLENDINGS = get_args(Blending)
 
 
 class ImageStitcher(nn.Module):
@@ -47,15 +54,17 @@ class ImageStitcher(nn.Module):
         torch.Size([1, 3, 6, 12])
     """
 
-    def __init__(self, matcher: nn.Module, estimator: str = "ransac", blending_method: str = "naive") -> None:
+    def __init__(
+        self, matcher: nn.Module, estimator: Estimator = "ransac", blending_method: Blending = "naive"
+    ) -> None:
         super().__init__()
         if not isinstance(matcher, nn.Module):
             raise TypeCheckError(
                 f"ImageStitcher: expected matcher to be a Module, got {type(matcher).__name__}",
                 actual_type=type(matcher),
             )
-        _check.choice("ImageStitcher", "estimator", estimator, ("ransac", "vanilla"), _check.UnknownChoiceError)
-        _check.choice("ImageStitcher", "blending_method", blending_method, ("naive",), _check.UnknownChoiceError)
+        _check.choice("ImageStitcher", "estimator", estimator, _ESTIMATORS, _check.UnknownChoiceError)
+        _check.choice("ImageStitcher", "blending_method", blending_method, _BLENDINGS, _check.UnknownChoiceError)
         self.matcher = matcher
         self.estimator = estimator
         self.blending_method = blending_method

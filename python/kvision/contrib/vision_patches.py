@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple, TypeAlias
 
 import torch
 import torch.nn.functional as F
@@ -53,7 +53,8 @@ class _Layout(NamedTuple):
     std: tuple[float, ...]
 
 
-LAYOUTS = {
+PatchLayout: TypeAlias = Literal["qwen2_vl", "siglip2"]
+LAYOUTS: dict[PatchLayout, _Layout] = {
     "qwen2_vl": _Layout(
         "bicubic",
         14,
@@ -84,7 +85,7 @@ class _Program(NamedTuple):
 
 def vision_patches(
     images: Tensor | list[Tensor],
-    layout: str = "qwen2_vl",
+    layout: PatchLayout = "qwen2_vl",
     patch_size: int | None = None,
     *,
     merge_size: int | None = None,
@@ -303,7 +304,7 @@ def _patches_of(x: Tensor, size: tuple[int, int], program: _Program) -> Tensor:
 # --- arguments ------------------------------------------------------------------------------------------------------
 
 
-def _options(op: str, layout: str, given: dict[str, int | None]) -> dict[str, int]:
+def _options(op: str, layout: PatchLayout, given: dict[str, int | None]) -> dict[str, int]:
     options = dict(LAYOUTS[layout].options)
     for name, value in given.items():
         if value is None:

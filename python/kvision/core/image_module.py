@@ -6,18 +6,19 @@ import inspect
 import os
 from collections.abc import Callable, Sequence
 from functools import wraps
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from torch import Tensor, nn
 
 from kvision import _check
+from kvision._choices import OutputType
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 from kvision.core.pixels import to_uint8
 
 __all__ = ["ImageModule", "ImageModuleMixIn", "ImageSequential"]
 
-_OUTPUT_TYPES = ("pt", "numpy", "pil")
+_OUTPUT_TYPES = get_args(OutputType)
 
 
 class ImageModuleMixIn:
@@ -35,7 +36,11 @@ class ImageModuleMixIn:
     _output_image: Any = None
 
     def convert_input_output(
-        self, input_names_to_handle: Sequence[str] | None = None, output_type: str = "pt", *, cache_output: bool = False
+        self,
+        input_names_to_handle: Sequence[str] | None = None,
+        output_type: OutputType = "pt",
+        *,
+        cache_output: bool = False,
     ) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
         """A decorator for functions of tensors.
 
@@ -148,7 +153,7 @@ class ImageModuleMixIn:
         is_image = isinstance(arg, np.ndarray) or _check.is_pil(arg) or (first and isinstance(arg, (str, os.PathLike)))
         return self.to_tensor(arg) if is_image else arg
 
-    def _release(self, output: Any, output_type: str, cache_output: bool) -> Any:
+    def _release(self, output: Any, output_type: OutputType, cache_output: bool) -> Any:
         if cache_output:
             self._output_image = _map_tensors(Tensor.detach, output)
         if output_type == "pt":
@@ -177,7 +182,7 @@ class _ImageCalls(ImageModuleMixIn):
         self,
         *inputs: Any,
         input_names_to_handle: Sequence[str] | None = None,
-        output_type: str = "pt",
+        output_type: OutputType = "pt",
         **kwargs: Any,
     ) -> Any:
         call = super().__call__  # type: ignore[misc]  # nn.Module's

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, Literal, TypeAlias
 
 import torch
 from torch import Tensor
@@ -17,7 +17,8 @@ from kvision._ops import linearize, register, vjp
 from kvision._torch_compat import in_function_transform, is_tracing
 from kvision.core.exceptions import ShapeError, ValueCheckError
 
-_KERNELS: dict[str, Callable[[Tensor], Tensor]] = {
+Kernel: TypeAlias = Literal["triangular", "gaussian", "uniform", "epanechnikov"]
+_KERNELS: dict[Kernel, Callable[[Tensor], Tensor]] = {
     "triangular": lambda u: clamp(1 - u, 0),
     "gaussian": lambda u: torch.exp(-0.5 * u * u),
     "uniform": lambda u: (u <= 1).to(u.dtype),
@@ -80,7 +81,7 @@ def count_chunks(x: Tensor, bins: int) -> int:
 _SMALL = 1 << 23  # numbers, 32 MiB
 
 
-def kernel_counts(x: Tensor, centers: Tensor, bandwidth: Tensor, kernel: str) -> Tensor:
+def kernel_counts(x: Tensor, centers: Tensor, bandwidth: Tensor, kernel: Kernel) -> Tensor:
     """Sum the kernel at (x - center) / bandwidth over values (N, P) for centers (K,), to (N, K)."""
     centers, bandwidth = centers[None], bandwidth.reshape(1)
     if kernel == "gaussian":
@@ -202,7 +203,11 @@ def _total(parts: Sequence[Tensor]) -> Tensor:
     return functools.reduce(torch.add, parts)
 
 
-_GRID_KERNELS = ("triangular", "epanechnikov", "uniform")  # by the numbers of HistogramKernel in csrc
+_GRID_KERNELS: tuple[Kernel, ...] = (
+    "triangular",
+    "epanechnikov",
+    "uniform",
+)  # by the numbers of HistogramKernel in csrc
 
 
 def _reference_grid(x: Tensor, low: float, width: float, bins: int, kernel: int) -> Tensor:
@@ -317,7 +322,7 @@ def image_histogram2d(
     bandwidth: float | None = None,
     centers: Tensor | None = None,
     return_pdf: bool = False,
-    kernel: str = "triangular",
+    kernel: Kernel = "triangular",
     eps: float = 1e-10,
 ) -> tuple[Tensor, Tensor]:
     """Count the values of every image plane with a smooth kernel.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Literal, TypeAlias, get_args
 
 import torch
 from torch import Tensor, nn
@@ -16,6 +16,7 @@ from kvision.core.exceptions import TypeCheckError, ValueCheckError
 from kvision.feature.laf import get_laf_orientation, get_laf_scale
 from kvision.feature.matching import _check_descriptors, _mode, _Neighbors, _no_matches, _one, _ratio, match_fginn
 
+MatchMode: TypeAlias = Literal["fginn", "adalam"]
 DEFAULTS: dict[str, Any] = {
     **{"area_ratio": 100, "search_expansion": 4, "ransac_iters": 128, "min_inliers": 6, "min_confidence": 200},
     **{"orientation_difference_threshold": 30, "scale_rate_threshold": 1.5, "detected_scale_rate_threshold": 5},
@@ -335,9 +336,9 @@ class GeometryAwareDescriptorMatcher(nn.Module):
         [[0, 0], [1, 1], [2, 2]]
     """
 
-    known_modes = ("fginn", "adalam")
+    known_modes = get_args(MatchMode)
 
-    def __init__(self, match_mode: str = "fginn", params: dict[str, Any] | None = None) -> None:
+    def __init__(self, match_mode: MatchMode = "fginn", params: dict[str, Any] | None = None) -> None:
         super().__init__()
         self.match_mode = _mode("GeometryAwareDescriptorMatcher", match_mode, self.known_modes)
         if not isinstance(params, dict) and params is not None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 from collections.abc import Callable, Collection, Iterator, Mapping
-from typing import Any
+from typing import Any, Literal, TypeAlias, get_args
 
 import torch
 from torch import Tensor, nn
@@ -26,7 +26,13 @@ from kvision.feature.orinet import OriNet
 from kvision.feature.patches import extract_patches_from_pyramid
 from kvision.feature.responses import BlobDoG, BlobDoGSingle, BlobHessian, CornerGFTT
 from kvision.feature.scale_space_detector import PassLAF, ScaleSpaceDetector
-from kvision.feature.sift import SIFTDescriptor, SIFTDescriptorFromPyramid, convert_sift_descriptor_layout
+from kvision.feature.sift import (
+    LAYOUTS,
+    Layout,
+    SIFTDescriptor,
+    SIFTDescriptorFromPyramid,
+    convert_sift_descriptor_layout,
+)
 from kvision.geometry.subpix import ConvQuadInterp3d
 from kvision.geometry.transform.pyramid import ScalePyramid
 
@@ -45,7 +51,8 @@ __all__ = [
     "get_laf_descriptors",
 ]
 
-_BACKENDS, _LAYOUTS = ("patch", "pyramid"), ("kornia", "opencv")
+Backend: TypeAlias = Literal["patch", "pyramid"]
+_BACKENDS = get_args(Backend)
 Device = str | torch.device | None
 
 # --- descriptors of frames ------------------------------------------------------------------------------------------
@@ -253,13 +260,13 @@ class _SIFT(_OfGrayImages):
         detector: nn.Module,
         rootsift: bool,
         device: Device,
-        backend: str,
-        layout: str,
+        backend: Backend,
+        layout: Layout,
         scaling_coef: float = 1.0,
     ) -> None:
         op = type(self).__name__
         _check.choice(op, "descriptor_backend", backend, _BACKENDS)
-        _check.choice(op, "descriptor_layout", layout, _LAYOUTS)
+        _check.choice(op, "descriptor_layout", layout, LAYOUTS)
         descriptor: nn.Module
         if backend == "pyramid":
             descriptor = SIFTDescriptorFromPyramid(rootsift=rootsift)
@@ -321,8 +328,8 @@ class SIFTFeature(_SIFT):
         config: Detector_config | None = None,
         compile_model: bool = False,
         score_threshold: float = 0.0,
-        descriptor_backend: str = "patch",
-        descriptor_layout: str = "kornia",
+        descriptor_backend: Backend = "patch",
+        descriptor_layout: Layout = "kornia",
         opencv: bool = False,
     ) -> None:
         detector: nn.Module
@@ -426,8 +433,8 @@ class SIFTFeatureScaleSpace(_SIFT):
         rootsift: bool = True,
         device: Device = None,
         compile_modules: bool | Collection[str] = False,
-        descriptor_backend: str = "patch",
-        descriptor_layout: str = "kornia",
+        descriptor_backend: Backend = "patch",
+        descriptor_layout: Layout = "kornia",
     ) -> None:
         op = "SIFTFeatureScaleSpace"
         detector = _dog_detector(op, num_features, compile_modules, ori_module=_orienter(op, upright))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Literal, TypeAlias, get_args
 
 import torch
 from torch import Tensor, nn
@@ -16,6 +16,7 @@ from kvision._ops import register
 from kvision._torch_compat import is_tracing
 from kvision.core.exceptions import ShapeError, TypeCheckError
 
+MatchMode: TypeAlias = Literal["nn", "mnn", "snn", "smnn"]
 # --- the two nearest ------------------------------------------------------------------------------------------------
 #
 # Without the distance matrix, so that memory grows with N + M. Descriptors that are left out, and those with NaN, have no
@@ -676,9 +677,9 @@ class DescriptorMatcher(nn.Module):
         [[0, 1], [1, 0]]
     """
 
-    known_modes = ("nn", "mnn", "snn", "smnn")
+    known_modes = get_args(MatchMode)
 
-    def __init__(self, match_mode: str = "snn", th: float = 0.8) -> None:
+    def __init__(self, match_mode: MatchMode = "snn", th: float = 0.8) -> None:
         super().__init__()
         self.match_mode = _mode("DescriptorMatcher", match_mode, self.known_modes)
         self.th = _check.number("DescriptorMatcher", "th", th)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Literal, TypeAlias, get_args
 
 import torch
 import torch.nn.functional as F
@@ -20,15 +20,18 @@ from kvision.filters import gaussian_blur2d
 
 __all__ = ["MKDDescriptor"]
 
+KernelType: TypeAlias = Literal["cart", "polar", "concat"]
+Whitening: TypeAlias = Literal["lw", "pca", "pcawt", "pcaws"]
+_WHITENINGS = get_args(Whitening)
+TrainingSet: TypeAlias = Literal["liberty", "notredame", "yosemite"]
+_TRAINING_SETS = get_args(TrainingSet)
 # Fourier coefficients of von Mises kernels: of concentration 1 with one frequency, of 8 with two and three.
 _COEFFICIENTS = {
     "xy": (0.38214156, 0.48090413),
     "polar": (0.14343168, 0.268285, 0.21979234),
     "angle": (0.14343168, 0.268285, 0.21979234, 0.15838885),
 }
-_KERNELS = {"cart": ("cart",), "polar": ("polar",), "concat": ("polar", "cart")}
-_WHITENINGS = ("lw", "pca", "pcawt", "pcaws")
-_TRAINING_SETS = ("liberty", "notredame", "yosemite")
+_KERNELS: dict[KernelType, tuple[str, ...]] = {"cart": ("cart",), "polar": ("polar",), "concat": ("polar", "cart")}
 _EPSILON = 1e-8
 _ATTENUATION = 0.7  # of eigenvalues, by pcawt
 _SHRINKAGE = 40  # the eigenvalue that pcaws shrinks others with
@@ -101,9 +104,9 @@ class MKDDescriptor(ConstantModule):
     def __init__(
         self,
         patch_size: int = 32,
-        kernel_type: str = "concat",
-        whitening: str | None = "pcawt",
-        training_set: str = "liberty",
+        kernel_type: KernelType = "concat",
+        whitening: Whitening | None = "pcawt",
+        training_set: TrainingSet = "liberty",
         output_dims: int = 128,
         pretrained: Weights = True,
     ) -> None:
@@ -111,6 +114,7 @@ class MKDDescriptor(ConstantModule):
         op = "MKDDescriptor"
         _check.ints(op, "patch_size", patch_size, 1)
         _check.choice(op, "kernel_type", kernel_type, tuple(_KERNELS))
+        _check.choice(op, "training_set", training_set, _TRAINING_SETS)
         _check.ints(op, "output_dims", output_dims, 1)
         self.patch_size = patch_size
         self.kernel_type = kernel_type
@@ -126,7 +130,6 @@ class MKDDescriptor(ConstantModule):
         self.output_dims = size if whitening is None else min(output_dims, size)
         if whitening is not None:
             _check.choice(op, "whitening", whitening, _WHITENINGS)
-            _check.choice(op, "training_set", training_set, _TRAINING_SETS)
             model = _whitening_model(pretrained, kernel_type, training_set, "lw" if whitening == "lw" else "pca", size)
             mean, projection = _whitening(model, whitening, self.output_dims)
             self.register_buffer("mean", mean)
@@ -165,7 +168,7 @@ class MKDDescriptor(ConstantModule):
 
 
 def _whitening_model(
-    pretrained: Weights, kernel_type: str, training_set: str, kind: str, size: int
+    pretrained: Weights, kernel_type: KernelType, training_set: TrainingSet, kind: str, size: int
 ) -> Mapping[str, Tensor]:
     """The statistics of descriptors of a training set."""
     models = read_weights("MKDDescriptor", f"MKDDescriptor-{kernel_type}", pretrained)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from typing import get_args
 
 import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._choices import DerivativeMode
 from kvision._dtype import as_dtype, compute_dtype, floats
 from kvision._modes import DERIVATIVE_MODE, DERIVATIVE_MODE_NAMES
 from kvision._modules import FunctionModule
@@ -30,6 +32,8 @@ __all__ = [
     "harris_response",
     "hessian_response",
 ]
+
+_MODES = get_args(DerivativeMode)
 
 _WINDOW, _SIGMA = 7, 1.0
 _HARRIS, _GFTT = 0, 1  # numbers that exported graphs contain
@@ -126,10 +130,12 @@ register(
 )
 
 
-def _arguments(op: str, input: Tensor, grads_mode: str, sigmas: Tensor | None) -> tuple[Tensor, Tensor | None, int]:
+def _arguments(
+    op: str, input: Tensor, grads_mode: DerivativeMode, sigmas: Tensor | None
+) -> tuple[Tensor, Tensor | None, int]:
     """The image in floating point, the sigmas in the compute type, and the number of the mode."""
     _check.images(op, "input", input)
-    _check.choice(op, "grads_mode", grads_mode, tuple(DERIVATIVE_MODE))
+    _check.choice(op, "grads_mode", grads_mode, _MODES)
     x = floats(input)
     if sigmas is not None:
         _check.shape(op, "sigmas", sigmas, input.shape[0])
@@ -138,7 +144,9 @@ def _arguments(op: str, input: Tensor, grads_mode: str, sigmas: Tensor | None) -
     return x, sigmas, DERIVATIVE_MODE[grads_mode]
 
 
-def _corners(op: str, input: Tensor, k: Tensor | float, kind: int, grads_mode: str, sigmas: Tensor | None) -> Tensor:
+def _corners(
+    op: str, input: Tensor, k: Tensor | float, kind: int, grads_mode: DerivativeMode, sigmas: Tensor | None
+) -> Tensor:
     x, sigmas, mode = _arguments(op, input, grads_mode, sigmas)
     _check.reflectable(op, x, (_WINDOW // 2, _WINDOW // 2), "reflect", "use hessian_response")
     if isinstance(k, Tensor):
@@ -147,7 +155,7 @@ def _corners(op: str, input: Tensor, k: Tensor | float, kind: int, grads_mode: s
 
 
 def harris_response(
-    input: Tensor, k: float | Tensor = 0.04, grads_mode: str = "sobel", sigmas: Tensor | None = None
+    input: Tensor, k: float | Tensor = 0.04, grads_mode: DerivativeMode = "sobel", sigmas: Tensor | None = None
 ) -> Tensor:
     """Compute Harris' corner response: det M - k trace(M)^2 of the structure tensor M.
 
@@ -190,7 +198,7 @@ def harris_response(
     return _corners(op, input, k, _HARRIS, grads_mode, sigmas)
 
 
-def gftt_response(input: Tensor, grads_mode: str = "sobel", sigmas: Tensor | None = None) -> Tensor:
+def gftt_response(input: Tensor, grads_mode: DerivativeMode = "sobel", sigmas: Tensor | None = None) -> Tensor:
     """Compute Shi and Tomasi's corner response ("good features to track"): the smaller eigenvalue of the structure tensor.
 
     The structure tensor is that of :func:`harris_response`.
@@ -219,7 +227,7 @@ def gftt_response(input: Tensor, grads_mode: str = "sobel", sigmas: Tensor | Non
     return _corners("gftt_response", input, 0.0, _GFTT, grads_mode, sigmas)
 
 
-def hessian_response(input: Tensor, grads_mode: str = "sobel", sigmas: Tensor | None = None) -> Tensor:
+def hessian_response(input: Tensor, grads_mode: DerivativeMode = "sobel", sigmas: Tensor | None = None) -> Tensor:
     """Compute the determinant of the Hessian: positive at bright and dark blobs, negative at saddles.
 
     Derivatives have a replicated border.
@@ -323,7 +331,7 @@ class CornerHarris(FunctionModule):
 
     k: Tensor
 
-    def __init__(self, k: float | Tensor, grads_mode: str = "sobel") -> None:
+    def __init__(self, k: float | Tensor, grads_mode: DerivativeMode = "sobel") -> None:
         if not isinstance(k, Tensor):
             _check.number("CornerHarris", "k", k)
         super().__init__(grads_mode=grads_mode)
@@ -346,7 +354,7 @@ class CornerGFTT(FunctionModule):
         torch.Size([2, 1, 8, 8])
     """
 
-    def __init__(self, grads_mode: str = "sobel") -> None:
+    def __init__(self, grads_mode: DerivativeMode = "sobel") -> None:
         super().__init__(grads_mode=grads_mode)
 
     def forward(self, input: Tensor, sigmas: Tensor | None = None) -> Tensor:
@@ -362,7 +370,7 @@ class BlobHessian(FunctionModule):
         torch.Size([2, 1, 8, 8])
     """
 
-    def __init__(self, grads_mode: str = "sobel") -> None:
+    def __init__(self, grads_mode: DerivativeMode = "sobel") -> None:
         super().__init__(grads_mode=grads_mode)
 
     def forward(self, input: Tensor, sigmas: Tensor | None = None) -> Tensor:

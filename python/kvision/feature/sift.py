@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
-from typing import Any
+from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
 import torch
@@ -35,7 +35,8 @@ from kvision.filters import filter2d_separable, gaussian_blur2d
 
 __all__ = ["DenseSIFTDescriptor", "SIFTDescriptor", "SIFTDescriptorFromPyramid", "convert_sift_descriptor_layout"]
 
-
+Layout: TypeAlias = Literal["kornia", "opencv"]
+LAYOUTS = get_args(Layout)
 # --- the operator ---------------------------------------------------------------------------------------------------
 
 
@@ -427,11 +428,9 @@ _IMAGE_BINS = 36  # at least, of the histograms of pixels
 
 # --- layouts --------------------------------------------------------------------------------------------------------
 
-LAYOUTS = ("kornia", "opencv")
-
 
 def convert_sift_descriptor_layout(
-    descriptors: Tensor, source: str, target: str, num_ang_bins: int = 8, num_spatial_bins: int = 4
+    descriptors: Tensor, source: Layout, target: Layout, num_ang_bins: int = 8, num_spatial_bins: int = 4
 ) -> Tensor:
     """Reorder SIFT descriptors between the layouts of Kornia and OpenCV.
 

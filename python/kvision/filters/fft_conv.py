@@ -7,6 +7,7 @@ from torch import Tensor
 from torch.compiler import is_compiling
 
 from kvision import _check
+from kvision._choices import Behaviour, Border, WindowPadding
 from kvision._dtype import pixels
 from kvision._ops import with_kernel_casts
 from kvision._torch_compat import is_tracing
@@ -43,10 +44,10 @@ def _fast_size(n: int) -> int:
 def fft_conv(
     input: Tensor,
     kernel: Tensor,
-    border_type: str = "reflect",
+    border_type: Border = "reflect",
     normalized: bool = False,
-    padding: str = "same",
-    behaviour: str = "corr",
+    padding: WindowPadding = "same",
+    behaviour: Behaviour = "corr",
 ) -> Tensor:
     """Filter every channel of an image with one kernel, through the Fourier transform.
 

@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, get_args
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
 from kvision import _check
+from kvision._choices import Behaviour, Border, WindowPadding
 from kvision._dtype import as_dtype, compute_dtype, pixels
 from kvision._modes import BORDER, BORDER_NAMES
 from kvision._ops import Operator, register
 from kvision.core.border import pad, same_pads
 from kvision.core.exceptions import ShapeError
+
+_PADDINGS = get_args(WindowPadding)
+
+_BEHAVIOURS = get_args(Behaviour)
 
 
 def correlate(x: Tensor, kernel: Tensor, stride: int = 1) -> Tensor:
@@ -88,10 +93,10 @@ _filter2d = register_filter("filter2d", bytes=True)
 def filter2d(
     input: Tensor,
     kernel: Tensor,
-    border_type: str = "reflect",
+    border_type: Border = "reflect",
     normalized: bool = False,
-    padding: str = "same",
-    behaviour: str = "corr",
+    padding: WindowPadding = "same",
+    behaviour: Behaviour = "corr",
 ) -> Tensor:
     """Filter every channel of an image with one kernel.
 
@@ -124,7 +129,11 @@ def filter2d(
 
 
 def correlate2d(
-    input: Tensor, kernel: Tensor, border_type: str = "reflect", normalized: bool = False, padding: str = "same"
+    input: Tensor,
+    kernel: Tensor,
+    border_type: Border = "reflect",
+    normalized: bool = False,
+    padding: WindowPadding = "same",
 ) -> Tensor:
     """Cross-correlate every channel of an image with one kernel: :func:`filter2d` with behaviour 'corr'.
 
@@ -151,7 +160,11 @@ def correlate2d(
 
 
 def convolve2d(
-    input: Tensor, kernel: Tensor, border_type: str = "reflect", normalized: bool = False, padding: str = "same"
+    input: Tensor,
+    kernel: Tensor,
+    border_type: Border = "reflect",
+    normalized: bool = False,
+    padding: WindowPadding = "same",
 ) -> Tensor:
     """Convolve every channel of an image with one kernel: :func:`filter2d` with behaviour 'conv'.
 
@@ -178,7 +191,13 @@ def convolve2d(
 
 
 def filter_images(
-    op: str, input: Tensor, kernel: Tensor, border_type: str, normalized: bool, padding: str, behaviour: str
+    op: str,
+    input: Tensor,
+    kernel: Tensor,
+    border_type: Border,
+    normalized: bool,
+    padding: WindowPadding,
+    behaviour: Behaviour,
 ) -> Tensor:
     """:func:`filter2d`, under the name of the function that was called."""
     _check.images(op, "input", input)
@@ -188,7 +207,7 @@ def filter_images(
     return _filter2d(pixels(input), kernel, BORDER[border_type], same)
 
 
-def prepare_kernel(op: str, x: Tensor, kernel: Tensor, normalized: bool, behaviour: str) -> Tensor:
+def prepare_kernel(op: str, x: Tensor, kernel: Tensor, normalized: bool, behaviour: Behaviour) -> Tensor:
     """The checked `kernel` (B or 1, *K) as the operators take it: unit absolute sum and flipped where asked."""
     sizes = kernel.shape
     if sizes[0] != 1 and sizes[0] != x.shape[0]:
@@ -199,7 +218,7 @@ def prepare_kernel(op: str, x: Tensor, kernel: Tensor, normalized: bool, behavio
         raise ShapeError(f"{op}: expected a kernel with at least one tap, got {tuple(sizes)}")
     kernel = _check.to_device_of(op, x, "kernel", kernel)
     _check.flag(op, "normalized", normalized)
-    _check.choice(op, "behaviour", behaviour, ("corr", "conv"))
+    _check.choice(op, "behaviour", behaviour, _BEHAVIOURS)
     kernel = as_dtype(kernel, compute_dtype(x))
     if not normalized and behaviour == "corr":
         return kernel
@@ -209,10 +228,10 @@ def prepare_kernel(op: str, x: Tensor, kernel: Tensor, normalized: bool, behavio
     return kernel.flip(axes) if behaviour == "conv" else kernel
 
 
-def check_padding(op: str, x: Tensor, taps: Sequence[int], border_type: str, padding: str) -> bool:
+def check_padding(op: str, x: Tensor, taps: Sequence[int], border_type: Border, padding: WindowPadding) -> bool:
     """Whether `padding` is 'same'; raise where the border or, for 'valid', a kernel of these sizes does not fit."""
     _check.border(op, border_type)
-    _check.choice(op, "padding", padding, ("same", "valid"))
+    _check.choice(op, "padding", padding, _PADDINGS)
     if padding == "same":
         _check.reflectable(op, x, [size // 2 for size in taps], border_type)
     elif any(k > n for k, n in zip(taps, x.shape[2:])):

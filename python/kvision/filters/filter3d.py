@@ -5,6 +5,7 @@ from __future__ import annotations
 from torch import Tensor
 
 from kvision import _check
+from kvision._choices import Behaviour, Border
 from kvision._dtype import floats
 from kvision._modes import BORDER
 from kvision.filters.filter2d import check_padding, prepare_kernel, register_filter
@@ -15,9 +16,9 @@ _filter3d = register_filter("filter3d")
 def filter3d(
     input: Tensor,
     kernel: Tensor,
-    border_type: str = "replicate",
+    border_type: Border = "replicate",
     normalized: bool = False,
-    behaviour: str = "corr",
+    behaviour: Behaviour = "corr",
 ) -> Tensor:
     """Filter every channel of a volume with one kernel.
 
@@ -43,7 +44,7 @@ def filter3d(
     return filter_volumes("filter3d", input, kernel, border_type, normalized, behaviour)
 
 
-def correlate3d(input: Tensor, kernel: Tensor, border_type: str = "replicate", normalized: bool = False) -> Tensor:
+def correlate3d(input: Tensor, kernel: Tensor, border_type: Border = "replicate", normalized: bool = False) -> Tensor:
     """Cross-correlate every channel of a volume with one kernel: :func:`filter3d` with behaviour 'corr'.
 
     Args:
@@ -67,7 +68,7 @@ def correlate3d(input: Tensor, kernel: Tensor, border_type: str = "replicate", n
     return filter_volumes("correlate3d", input, kernel, border_type, normalized, "corr")
 
 
-def convolve3d(input: Tensor, kernel: Tensor, border_type: str = "replicate", normalized: bool = False) -> Tensor:
+def convolve3d(input: Tensor, kernel: Tensor, border_type: Border = "replicate", normalized: bool = False) -> Tensor:
     """Convolve every channel of a volume with one kernel: :func:`filter3d` with behaviour 'conv'.
 
     Args:
@@ -92,7 +93,7 @@ def convolve3d(input: Tensor, kernel: Tensor, border_type: str = "replicate", no
 
 
 def filter_volumes(
-    op: str, input: Tensor, kernel: Tensor, border_type: str, normalized: bool, behaviour: str
+    op: str, input: Tensor, kernel: Tensor, border_type: Border, normalized: bool, behaviour: Behaviour
 ) -> Tensor:
     """:func:`filter3d`, under the name of the function that was called."""
     _check.volumes(op, "input", input)

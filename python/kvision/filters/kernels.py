@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, get_args
 
 import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._choices import DerivativeMode
 from kvision._torch_compat import in_onnx_export
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
+
+_MODES = get_args(DerivativeMode)
 
 # ---------------------------------------------------------------------------------------------------- Gaussian
 
@@ -559,7 +562,7 @@ def get_diff_kernel2d(*, device: torch.device | None = None, dtype: torch.dtype 
 
 
 def get_spatial_gradient_kernel2d(
-    mode: str, order: int, *, device: torch.device | None = None, dtype: torch.dtype | None = None
+    mode: DerivativeMode, order: int, *, device: torch.device | None = None, dtype: torch.dtype | None = None
 ) -> Tensor:
     """The kernels of `spatial_gradient`, not normalized.
 
@@ -588,7 +591,7 @@ def get_spatial_gradient_kernel2d(
 
 
 def get_spatial_gradient_kernel3d(
-    mode: str, order: int, device: torch.device | None = None, dtype: torch.dtype | None = None
+    mode: DerivativeMode, order: int, device: torch.device | None = None, dtype: torch.dtype | None = None
 ) -> Tensor:
     """The kernels of `spatial_gradient3d`, normalized.
 
@@ -618,9 +621,9 @@ def get_spatial_gradient_kernel3d(
     return _derivative_kernels(mode, order, 3, device, dtype, normalized=True)[:, None]
 
 
-def check_derivative(op: str, mode: str, order: int, axes: int = 2) -> int:
+def check_derivative(op: str, mode: DerivativeMode, order: int, axes: int = 2) -> int:
     """`order` as an int; raise unless there are kernels of this mode and order."""
-    _check.choice(op, "mode", mode, ("sobel", "diff"))
+    _check.choice(op, "mode", mode, _MODES)
     order = _check.scalar(op, "order", order)
     _check.choice(op, "order", order, (1, 2))
     if axes == 3 and mode == "sobel":
@@ -629,7 +632,7 @@ def check_derivative(op: str, mode: str, order: int, axes: int = 2) -> int:
 
 
 def _derivative_kernels(
-    mode: str,
+    mode: DerivativeMode,
     order: int,
     axes: int,
     device: torch.device | None,

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._choices import Border, WindowPadding
 from kvision._dtype import pixels
 from kvision._modes import BORDER, BORDER_NAMES
 from kvision._ops import register
@@ -109,9 +110,9 @@ def filter2d_separable(
     input: Tensor,
     kernel_x: Tensor,
     kernel_y: Tensor,
-    border_type: str = "reflect",
+    border_type: Border = "reflect",
     normalized: bool = False,
-    padding: str = "same",
+    padding: WindowPadding = "same",
 ) -> Tensor:
     """Filter every channel of an image along x, then along y.
 

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import get_args
 
 from torch import Tensor
 
-DISTANCES = ("l1", "l2", "charbonnier")
+from kvision._choices import Distance
+
+DISTANCES = get_args(Distance)
 
 
-def distance_of(residual: Tensor, distance: str, eps: float) -> Tensor:
+def distance_of(residual: Tensor, distance: Distance, eps: float) -> Tensor:
     if distance == "l1":
         return residual.abs()
     return residual * residual if distance == "l2" else (residual * residual + eps * eps).sqrt()
 
 
-def distance_derivative(residual: Tensor, distance: str, eps: float) -> Tensor:
+def distance_derivative(residual: Tensor, distance: Distance, eps: float) -> Tensor:
     """The derivative of :func:`distance_of`."""
     if distance == "l1":
         return residual.sign()

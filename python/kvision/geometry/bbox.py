@@ -9,6 +9,7 @@ from __future__ import annotations
 import functools
 import itertools
 from collections.abc import Sequence
+from typing import Literal, TypeAlias, get_args
 
 import torch
 from torch import Tensor
@@ -32,6 +33,8 @@ __all__ = [
     "validate_bbox3d",
 ]
 
+BoxMode: TypeAlias = Literal["xyxy", "xywh"]
+_MODES = get_args(BoxMode)
 # --- corners --------------------------------------------------------------------------------------------------------
 
 
@@ -302,7 +305,7 @@ def mask_between(near: Tensor, far: Tensor, size: tuple[int, ...]) -> Tensor:
 
 
 def transform_bbox(
-    trans_mat: Tensor, boxes: Tensor, mode: str = "xyxy", restore_coordinates: bool | None = None
+    trans_mat: Tensor, boxes: Tensor, mode: BoxMode = "xyxy", restore_coordinates: bool | None = None
 ) -> Tensor:
     """Transform boxes by homographies.
 
@@ -331,7 +334,7 @@ def transform_bbox(
     op = "transform_bbox"
     _check.shape(op, "trans_mat", trans_mat, "B", 3, 3)
     _check.numbers(op, "boxes", boxes)
-    _check.choice(op, "mode", mode, ("xyxy", "xywh"))
+    _check.choice(op, "mode", mode, _MODES)
     polygons = boxes.dim() == 4
     if boxes.shape[2:] != (4, 2) if polygons else boxes.dim() not in (2, 3) or boxes.shape[-1] != 4:
         raise ShapeError(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, Literal, TypeAlias, TypeVar, get_args
 
 import torch
 from torch import Tensor
@@ -18,6 +18,10 @@ from kvision.geometry.collection import Collection
 
 __all__ = ["Boxes", "Boxes3D", "VideoBoxes"]
 
+BoxMode: TypeAlias = Literal["xyxy", "xyxy_plus", "xywh", "vertices", "vertices_plus"]
+BoxMode3D: TypeAlias = Literal["xyzxyz", "xyzxyz_plus", "xyzwhd", "vertices", "vertices_plus"]
+Translation: TypeAlias = Literal["warp", "fast"]
+_TRANSLATIONS = get_args(Translation)
 Self = TypeVar("Self", bound="_Boxes")
 
 
@@ -33,7 +37,7 @@ class _Boxes(Collection):
         self._normalized = False
 
     @classmethod
-    def _known(cls, mode: Any) -> str:
+    def _known(cls, mode: Any) -> Any:
         if not isinstance(mode, str):
             raise TypeCheckError(f"{cls.__name__}: expected mode to be a str, got {mode!r}", actual_type=type(mode))
         _check.choice(cls.__name__, "mode", mode.lower(), cls.modes)
@@ -179,19 +183,23 @@ class Boxes(_Boxes):
     """
 
     item = (4, 2)
-    modes = ("xyxy", "xyxy_plus", "xywh", "vertices", "vertices_plus")
+    modes = get_args(BoxMode)
 
     def __init__(
         self,
         boxes: Tensor | Sequence[Tensor],
         raise_if_not_floating_point: bool = True,
-        mode: str = "vertices_plus",
+        mode: BoxMode = "vertices_plus",
     ) -> None:
         super().__init__(boxes, raise_if_not_floating_point, mode)
 
     @classmethod
     def from_tensor(
-        cls, boxes: Tensor | Sequence[Any], mode: str = "xyxy", validate_boxes: bool = True, normalized: bool = False
+        cls,
+        boxes: Tensor | Sequence[Any],
+        mode: BoxMode = "xyxy",
+        validate_boxes: bool = True,
+        normalized: bool = False,
     ) -> Boxes:
         """Boxes from one of their forms.
 
@@ -223,7 +231,7 @@ class Boxes(_Boxes):
             boxes = torch.tensor(boxes)
         return cls._from_tensor(boxes, mode, validate_boxes, normalized)
 
-    def to_tensor(self, mode: str | None = None, as_padded_sequence: bool = False) -> Tensor | list[Tensor]:
+    def to_tensor(self, mode: BoxMode | None = None, as_padded_sequence: bool = False) -> Tensor | list[Tensor]:
         """The axis-aligned bounding boxes of the corners, in one of the forms of :meth:`from_tensor`.
 
         Args:
@@ -359,7 +367,7 @@ class Boxes(_Boxes):
         """:meth:`transform_boxes` of this object."""
         return self.transform_boxes(M, inplace=True)
 
-    def translate(self, size: Tensor, method: str = "warp", inplace: bool = False) -> Boxes:
+    def translate(self, size: Tensor, method: Translation = "warp", inplace: bool = False) -> Boxes:
         """Translate boxes by (x, y).
 
         Args:
@@ -368,7 +376,7 @@ class Boxes(_Boxes):
             inplace: change this object.
         """
         op = f"{type(self).__name__}.translate"
-        _check.choice(op, "method", method, ("warp", "fast"))
+        _check.choice(op, "method", method, _TRANSLATIONS)
         _check.shape(op, "size", size, "B", 2)
         return self._changed(self._data + self._of_images(op, "size", size), inplace)
 
@@ -424,7 +432,7 @@ class VideoBoxes(Boxes):
         self._valid = self._put(value, write)
         self._data = data
 
-    def to_tensor(self, mode: str | None = None, as_padded_sequence: bool = False) -> Tensor:
+    def to_tensor(self, mode: BoxMode | None = None, as_padded_sequence: bool = False) -> Tensor:
         """(B, T, N, 4), or corners (B, T, N, 4, 2), in one of the forms of :meth:`Boxes.from_tensor`."""
         return self._of_videos(self._in_mode(self._mode if mode is None else self._known(mode)))
 
@@ -456,14 +464,16 @@ class Boxes3D(_Boxes):
     """
 
     item = (8, 3)
-    modes = ("xyzxyz", "xyzxyz_plus", "xyzwhd", "vertices", "vertices_plus")
+    modes = get_args(BoxMode3D)
 
-    def __init__(self, boxes: Tensor, raise_if_not_floating_point: bool = True, mode: str = "xyzxyz_plus") -> None:
+    def __init__(
+        self, boxes: Tensor, raise_if_not_floating_point: bool = True, mode: BoxMode3D = "xyzxyz_plus"
+    ) -> None:
         super().__init__(boxes, raise_if_not_floating_point, mode)
 
     @classmethod
     def from_tensor(
-        cls, boxes: Tensor, mode: str = "xyzxyz", validate_boxes: bool = True, normalized: bool = False
+        cls, boxes: Tensor, mode: BoxMode3D = "xyzxyz", validate_boxes: bool = True, normalized: bool = False
     ) -> Boxes3D:
         """Boxes from one of their forms.
 
@@ -483,7 +493,7 @@ class Boxes3D(_Boxes):
         _check.is_tensor(cls.__name__, "boxes", boxes)
         return cls._from_tensor(boxes, mode, validate_boxes, normalized)
 
-    def to_tensor(self, mode: str = "xyzxyz") -> Tensor:
+    def to_tensor(self, mode: BoxMode3D = "xyzxyz") -> Tensor:
         """Axis-aligned bounding boxes of the corners, (N, 6) or (B, N, 6), in one of the forms of :meth:`from_tensor`."""
         return self._in_mode(self._known(mode))
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import sys
-from typing import Any
+from typing import Any, Literal, TypeAlias, get_args
 
 import torch
 from torch import Tensor, nn
@@ -29,8 +29,21 @@ from kvision.geometry.solvers.affine import affine_of
 
 __all__ = ["RANSAC"]
 
+ModelType: TypeAlias = Literal[
+    "affine",
+    "homography",
+    "homography_from_linesegments",
+    "fundamental",
+    "fundamental_7pt",
+    "fundamental_8pt",
+    "essential",
+]
+ScoreType: TypeAlias = Literal["msac", "ransac"]
+_SCORES = get_args(ScoreType)
+LocalOptimization: TypeAlias = Literal["lm", "dlt"]
+_OPTIMIZATIONS = get_args(LocalOptimization)
 # Model names of the API -> those of the kernels.
-_MODELS = {
+_MODELS: dict[ModelType, str] = {
     "affine": "affine",
     "homography": "homography",
     "homography_from_linesegments": "lines",
@@ -172,27 +185,27 @@ class RANSAC(nn.Module):
 
     def __init__(
         self,
-        model_type: str = "homography",
+        model_type: ModelType = "homography",
         inl_th: float = 2.0,
-        batch_size: int | str = "auto",
+        batch_size: int | Literal["auto"] = "auto",
         max_iter: int = 10,
         confidence: float = 0.99,
         max_lo_iters: int = 5,
-        score_type: str = "msac",
+        score_type: ScoreType = "msac",
         prosac_sampling: bool = False,
         seed: int | None = None,
         lo_sample_size: int | None = 32,
         max_samples: int | None = None,
-        local_optimization: str | None = None,
+        local_optimization: LocalOptimization | None = None,
         refine_iters: int = 3,
         degensac: bool | None = False,
         compile: bool = False,
     ) -> None:
         super().__init__()
         _check.choice("RANSAC", "model_type", model_type, tuple(_MODELS), _check.UnknownChoiceError)
-        _check.choice("RANSAC", "score_type", score_type, ("msac", "ransac"))
+        _check.choice("RANSAC", "score_type", score_type, _SCORES)
         if local_optimization is not None:
-            _check.choice("RANSAC", "local_optimization", local_optimization, ("lm", "dlt"))
+            _check.choice("RANSAC", "local_optimization", local_optimization, _OPTIMIZATIONS)
         if not _check.number("RANSAC", "inl_th", inl_th) ** 2 > 0:
             raise ValueCheckError(f"RANSAC: expected inl_th above 0, got {inl_th!r}", actual_value=inl_th)
         if batch_size != "auto":

@@ -21,9 +21,11 @@ from kvision.io.load import ImageLoadType, convert, inconvertible
 
 __all__ = ["decode"]
 
-Encoded: TypeAlias = "bytes | bytearray | memoryview | Tensor"
+Mode: TypeAlias = Literal["RGB", "GRAY", "RGBA", "UNCHANGED"]
+Backend: TypeAlias = Literal["torchcodec", "torchvision", "opencv"]
+Encoded: TypeAlias = bytes | bytearray | memoryview | Tensor
 
-_MODES = {
+_MODES: dict[Mode, ImageLoadType] = {
     "RGB": ImageLoadType.RGB8,
     "GRAY": ImageLoadType.GRAY8,
     "RGBA": ImageLoadType.RGBA8,
@@ -35,40 +37,40 @@ _MODES = {
 def decode(
     files: Encoded,
     device: str | torch.device | None = ...,
-    mode: str = ...,
-    backend: str | None = ...,
+    mode: Mode = ...,
+    backend: Backend | None = ...,
     errors: Literal["raise"] = ...,
 ) -> Tensor: ...
 @overload
 def decode(
     files: Sequence[Encoded],
     device: str | torch.device | None = ...,
-    mode: str = ...,
-    backend: str | None = ...,
+    mode: Mode = ...,
+    backend: Backend | None = ...,
     errors: Literal["raise"] = ...,
 ) -> list[Tensor]: ...
 @overload
 def decode(
     files: Encoded,
     device: str | torch.device | None = ...,
-    mode: str = ...,
-    backend: str | None = ...,
-    errors: str = ...,
+    mode: Mode = ...,
+    backend: Backend | None = ...,
+    errors: Literal["raise", "skip"] = ...,
 ) -> Tensor | None: ...
 @overload
 def decode(
     files: Sequence[Encoded],
     device: str | torch.device | None = ...,
-    mode: str = ...,
-    backend: str | None = ...,
-    errors: str = ...,
+    mode: Mode = ...,
+    backend: Backend | None = ...,
+    errors: Literal["raise", "skip"] = ...,
 ) -> list[Tensor | None]: ...
 def decode(
     files: Encoded | Sequence[Encoded],
     device: str | torch.device | None = "cpu",
-    mode: str = "RGB",
-    backend: str | None = None,
-    errors: str = "raise",
+    mode: Mode = "RGB",
+    backend: Backend | None = None,
+    errors: Literal["raise", "skip"] = "raise",
 ) -> Tensor | list[Tensor] | list[Tensor | None] | None:
     """Decode image files that are in memory, upright (EXIF orientation) and in RGB order, each in its own size.
 

@@ -8,13 +8,16 @@ import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._choices import Reduction
 from kvision._dtype import floats
 from kvision.core.exceptions import ShapeError
 from kvision.losses.reduction import reduced
 from kvision.metrics.box_overlap import complete_overlap, distance_overlap, generalized_overlap
 
 
-def generalized_box_iou_loss(boxes1: Tensor, boxes2: Tensor, reduction: str = "none", eps: float = 1e-7) -> Tensor:
+def generalized_box_iou_loss(
+    boxes1: Tensor, boxes2: Tensor, reduction: Reduction = "none", eps: float = 1e-7
+) -> Tensor:
     """Compute 1 - :func:`kvision.metrics.generalized_box_iou` of pairs of boxes.
 
     Args:
@@ -42,7 +45,7 @@ def generalized_box_iou_loss(boxes1: Tensor, boxes2: Tensor, reduction: str = "n
     return _loss("generalized_box_iou_loss", generalized_overlap, boxes1, boxes2, reduction, eps, (eps,))
 
 
-def distance_box_iou_loss(boxes1: Tensor, boxes2: Tensor, reduction: str = "none", eps: float = 1e-7) -> Tensor:
+def distance_box_iou_loss(boxes1: Tensor, boxes2: Tensor, reduction: Reduction = "none", eps: float = 1e-7) -> Tensor:
     """Compute 1 - :func:`kvision.metrics.distance_box_iou` of pairs of boxes.
 
     Args:
@@ -70,7 +73,7 @@ def distance_box_iou_loss(boxes1: Tensor, boxes2: Tensor, reduction: str = "none
     return _loss("distance_box_iou_loss", distance_overlap, boxes1, boxes2, reduction, eps, (eps, eps))
 
 
-def complete_box_iou_loss(boxes1: Tensor, boxes2: Tensor, reduction: str = "none", eps: float = 1e-7) -> Tensor:
+def complete_box_iou_loss(boxes1: Tensor, boxes2: Tensor, reduction: Reduction = "none", eps: float = 1e-7) -> Tensor:
     """Compute 1 - :func:`kvision.metrics.complete_box_iou` of pairs of boxes.
 
     Args:
@@ -103,7 +106,7 @@ def _loss(
     overlap: Callable[..., Tensor],
     boxes1: Tensor,
     boxes2: Tensor,
-    reduction: str,
+    reduction: Reduction,
     eps: float,
     epsilons: tuple[float, ...],
 ) -> Tensor:

@@ -5,11 +5,12 @@ from __future__ import annotations
 from torch import Tensor
 
 from kvision import _check
+from kvision._choices import Reduction
 from kvision.losses.reduction import reduced
 from kvision.metrics.pointwise import sum_of_maps
 
 
-def kl_div_loss_2d(pred: Tensor, target: Tensor, reduction: str = "mean") -> Tensor:
+def kl_div_loss_2d(pred: Tensor, target: Tensor, reduction: Reduction = "mean") -> Tensor:
     """Compute the Kullback-Leibler divergence of predicted probability maps from the true ones.
 
     It is the sum over the pixels of target * log(target / pred); where target is 0 it adds nothing.
@@ -38,7 +39,7 @@ def kl_div_loss_2d(pred: Tensor, target: Tensor, reduction: str = "mean") -> Ten
     return reduced(sum_of_maps("kl", pred, target), reduction).to(pred.dtype)
 
 
-def js_div_loss_2d(pred: Tensor, target: Tensor, reduction: str = "mean") -> Tensor:
+def js_div_loss_2d(pred: Tensor, target: Tensor, reduction: Reduction = "mean") -> Tensor:
     """Compute the Jensen-Shannon divergence of two probability maps: the mean of their KL divergences from their average.
 
     Args:
@@ -62,7 +63,7 @@ def js_div_loss_2d(pred: Tensor, target: Tensor, reduction: str = "mean") -> Ten
     return reduced(sum_of_maps("js", pred, target), reduction).to(pred.dtype)
 
 
-def _check_maps(op: str, pred: Tensor, target: Tensor, reduction: str) -> None:
+def _check_maps(op: str, pred: Tensor, target: Tensor, reduction: Reduction) -> None:
     for name, x in (("pred", pred), ("target", target)):
         _check.shape(op, name, x, "B", "N", "H", "W")
         _check.floating(op, name, x)

@@ -9,6 +9,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from kvision import _check
+from kvision._choices import Reduction
 from kvision._dtype import as_dtype, compute_dtype
 from kvision._modules import IMAGE, LABELS, FunctionModule
 from kvision._ops import match_layout, register, vjp
@@ -82,7 +83,7 @@ def focal_loss(
     target: Tensor,
     alpha: float | None = 0.5,
     gamma: float = 2.0,
-    reduction: str = "none",
+    reduction: Reduction = "none",
     weight: Tensor | None = None,
     ignore_index: int | None = -100,
 ) -> Tensor:
@@ -145,7 +146,7 @@ def binary_focal_loss_with_logits(
     target: Tensor,
     alpha: float | None = 0.25,
     gamma: float = 2.0,
-    reduction: str = "none",
+    reduction: Reduction = "none",
     pos_weight: Tensor | None = None,
     weight: Tensor | None = None,
     ignore_index: int | None = -100,
@@ -317,7 +318,7 @@ class FocalLoss(FunctionModule):
         self,
         alpha: float | None,
         gamma: float = 2.0,
-        reduction: str = "none",
+        reduction: Reduction = "none",
         weight: Tensor | None = None,
         ignore_index: int | None = -100,
     ) -> None:
@@ -342,7 +343,7 @@ class BinaryFocalLossWithLogits(FunctionModule):
         self,
         alpha: float | None,
         gamma: float = 2.0,
-        reduction: str = "none",
+        reduction: Reduction = "none",
         pos_weight: Tensor | None = None,
         weight: Tensor | None = None,
         ignore_index: int | None = -100,

@@ -7,6 +7,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from kvision import _check
+from kvision._choices import Reduction
 from kvision._dtype import as_dtype, compute_dtype
 from kvision._modules import IMAGE, VOLUME, FunctionModule, Sample
 from kvision._ops import not_empty, register, vjp
@@ -67,7 +68,7 @@ _hausdorff = register(
 )
 
 
-def _loss(pred: Tensor, target: Tensor, alpha: float, k: int, reduction: str) -> Tensor:
+def _loss(pred: Tensor, target: Tensor, alpha: float, k: int, reduction: Reduction) -> Tensor:
     promoted = as_dtype(pred, compute_dtype(pred))
     loss = _hausdorff(promoted, target[:, 0], alpha, k, reduction != "none")
     if reduction == "none":
@@ -112,7 +113,7 @@ class HausdorffERLoss(FunctionModule):
 
     _axes: tuple[str, ...] = ("H", "W")
 
-    def __init__(self, alpha: float = 2.0, k: int = 10, reduction: str = "mean") -> None:
+    def __init__(self, alpha: float = 2.0, k: int = 10, reduction: Reduction = "mean") -> None:
         op = type(self).__name__
         _check.number(op, "alpha", alpha)
         _check.ints(op, "k", k, 1)

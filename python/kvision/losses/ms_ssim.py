@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from torch import Tensor
 
 from kvision import _check
+from kvision._choices import Reduction
 from kvision._dtype import as_dtype, compute_dtype, floats
 from kvision._limits import MAX_SSIM_SCALES, MAX_SSIM_WEIGHTS
 from kvision._modules import IMAGE, FunctionModule
@@ -104,7 +105,7 @@ class MS_SSIMLoss(FunctionModule):
         K: tuple[float, float] = (0.01, 0.03),
         alpha: float = 0.025,
         compensation: float = 200.0,
-        reduction: str = "mean",
+        reduction: Reduction = "mean",
     ) -> None:
         op = "MS_SSIMLoss"
         for name, values in (("sigmas", sigmas), ("K", K)):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal, TypeAlias, get_args
 
 import torch
 from torch import Tensor
@@ -12,6 +12,9 @@ from kvision._dtype import as_dtype, compute_dtype
 from kvision._modules import IMAGE, LABELS, FunctionModule
 from kvision._ops import register, vjp
 from kvision.losses.reduction import as_arguments, check_labels, checked_weight, masked, segmentation_supports, selected
+
+Average: TypeAlias = Literal["micro", "macro"]
+_AVERAGES = get_args(Average)
 
 
 def _reference(
@@ -106,7 +109,7 @@ def _loss(
 def dice_loss(
     pred: Tensor,
     target: Tensor,
-    average: str = "micro",
+    average: Average = "micro",
     eps: float = 1e-8,
     weight: Tensor | None = None,
     ignore_index: int | None = -100,
@@ -139,7 +142,7 @@ def dice_loss(
         tensor(0.5000)
     """
     check_labels("dice_loss", pred, target)
-    _check.choice("dice_loss", "average", average, ("micro", "macro"))
+    _check.choice("dice_loss", "average", average, _AVERAGES)
     eps = _check.number("dice_loss", "eps", eps, minimum=0)
     weight = checked_weight("dice_loss", "weight", weight, pred)
     weight = None if weight is None else weight[None].to(compute_dtype(pred))
@@ -197,7 +200,7 @@ class DiceLoss(FunctionModule):
 
     def __init__(
         self,
-        average: str = "micro",
+        average: Average = "micro",
         eps: float = 1e-8,
         weight: Tensor | None = None,
         ignore_index: int | None = -100,

@@ -8,13 +8,14 @@ import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._choices import Reduction
 from kvision._limits import MAX_CLASSES
 from kvision._ops import not_empty
 from kvision._shared_memory import fitting
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 
 
-def reduced(loss: Tensor, reduction: str) -> Tensor:
+def reduced(loss: Tensor, reduction: Reduction) -> Tensor:
     """The mean or the sum of a loss, or the loss itself."""
     return loss.mean() if reduction == "mean" else loss.sum() if reduction == "sum" else loss
 

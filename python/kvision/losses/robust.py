@@ -5,11 +5,12 @@ from __future__ import annotations
 from torch import Tensor
 
 from kvision import _check
+from kvision._choices import Reduction
 from kvision._modules import IMAGE, FunctionModule
 from kvision.metrics.pointwise import pointwise
 
 
-def charbonnier_loss(img1: Tensor, img2: Tensor, reduction: str | None = "none") -> Tensor:
+def charbonnier_loss(img1: Tensor, img2: Tensor, reduction: Reduction | None = "none") -> Tensor:
     """Compute the Charbonnier loss sqrt(d^2 + 1) - 1 of differences d.
 
     Args:
@@ -36,7 +37,7 @@ def charbonnier_loss(img1: Tensor, img2: Tensor, reduction: str | None = "none")
     return _loss("charbonnier", img1, img2, reduction)
 
 
-def welsch_loss(img1: Tensor, img2: Tensor, reduction: str | None = "none") -> Tensor:
+def welsch_loss(img1: Tensor, img2: Tensor, reduction: Reduction | None = "none") -> Tensor:
     """Compute the Welsch loss 1 - exp(-d^2 / 2) of differences d.
 
     Args:
@@ -58,7 +59,7 @@ def welsch_loss(img1: Tensor, img2: Tensor, reduction: str | None = "none") -> T
     return _loss("welsch", img1, img2, reduction)
 
 
-def cauchy_loss(img1: Tensor, img2: Tensor, reduction: str | None = "none") -> Tensor:
+def cauchy_loss(img1: Tensor, img2: Tensor, reduction: Reduction | None = "none") -> Tensor:
     """Compute the Cauchy loss log(d^2 / 2 + 1) of differences d.
 
     Args:
@@ -80,7 +81,7 @@ def cauchy_loss(img1: Tensor, img2: Tensor, reduction: str | None = "none") -> T
     return _loss("cauchy", img1, img2, reduction)
 
 
-def geman_mcclure_loss(img1: Tensor, img2: Tensor, reduction: str | None = "none") -> Tensor:
+def geman_mcclure_loss(img1: Tensor, img2: Tensor, reduction: Reduction | None = "none") -> Tensor:
     """Compute the Geman-McClure loss 2 d^2 / (d^2 + 4) of differences d.
 
     Args:
@@ -102,7 +103,7 @@ def geman_mcclure_loss(img1: Tensor, img2: Tensor, reduction: str | None = "none
     return _loss("geman_mcclure", img1, img2, reduction)
 
 
-def _loss(kind: str, img1: Tensor, img2: Tensor, reduction: str | None) -> Tensor:
+def _loss(kind: str, img1: Tensor, img2: Tensor, reduction: Reduction | None) -> Tensor:
     op = f"{kind}_loss"
     reduction = "none" if reduction is None else reduction
     for name, x in (("img1", img1), ("img2", img2)):
@@ -125,7 +126,7 @@ class CharbonnierLoss(FunctionModule):
 
     samples = IMAGE, IMAGE
 
-    def __init__(self, reduction: str | None = "none") -> None:
+    def __init__(self, reduction: Reduction | None = "none") -> None:
         super().__init__(reduction=reduction)
 
     def forward(self, img1: Tensor, img2: Tensor) -> Tensor:
@@ -143,7 +144,7 @@ class WelschLoss(FunctionModule):
 
     samples = IMAGE, IMAGE
 
-    def __init__(self, reduction: str | None = "none") -> None:
+    def __init__(self, reduction: Reduction | None = "none") -> None:
         super().__init__(reduction=reduction)
 
     def forward(self, img1: Tensor, img2: Tensor) -> Tensor:
@@ -161,7 +162,7 @@ class CauchyLoss(FunctionModule):
 
     samples = IMAGE, IMAGE
 
-    def __init__(self, reduction: str | None = "none") -> None:
+    def __init__(self, reduction: Reduction | None = "none") -> None:
         super().__init__(reduction=reduction)
 
     def forward(self, img1: Tensor, img2: Tensor) -> Tensor:
@@ -179,7 +180,7 @@ class GemanMcclureLoss(FunctionModule):
 
     samples = IMAGE, IMAGE
 
-    def __init__(self, reduction: str | None = "none") -> None:
+    def __init__(self, reduction: Reduction | None = "none") -> None:
         super().__init__(reduction=reduction)
 
     def forward(self, img1: Tensor, img2: Tensor) -> Tensor:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal, TypeAlias, get_args
+
 import torch
 from torch import Tensor
 from torch.compiler import is_compiling
@@ -11,6 +13,9 @@ from kvision._dtype import as_dtype, compute_dtype, floats
 from kvision._modules import IMAGE, PLANE, FunctionModule
 from kvision._ops import register, vjp
 from kvision.core.exceptions import ShapeError, TypeCheckError
+
+SumOrMean: TypeAlias = Literal["sum", "mean"]
+_REDUCTIONS = get_args(SumOrMean)
 
 
 def _reference(x: Tensor, along_y: float, along_x: float) -> Tensor:
@@ -80,7 +85,7 @@ _smoothness = register(
 )
 
 
-def total_variation(img: Tensor, reduction: str = "sum") -> Tensor:
+def total_variation(img: Tensor, reduction: SumOrMean = "sum") -> Tensor:
     """Compute the total variation of every plane: the sum of absolute differences of pixels adjacent along x or y.
 
     Args:
@@ -105,7 +110,7 @@ def total_variation(img: Tensor, reduction: str = "sum") -> Tensor:
         raise ShapeError(
             f"total_variation: expected img of shape (*, H, W), got {tuple(img.shape)}", actual_shape=img.shape
         )
-    _check.reduction("total_variation", reduction, ("sum", "mean"))
+    _check.reduction("total_variation", reduction, _REDUCTIONS)
     x = floats(img)
     h, w = x.shape[-2:]
     if h == 0 or w == 0:

@@ -7,6 +7,7 @@ import math
 from torch import Tensor
 
 from kvision import _check
+from kvision._choices import Reduction, WindowPadding
 from kvision._clamp import clamp
 from kvision._dtype import floats
 from kvision._modules import IMAGE, VOLUME, FunctionModule
@@ -25,8 +26,8 @@ def ssim_loss(
     window_size: int,
     max_val: float = 1.0,
     eps: float = 1e-12,
-    reduction: str = "mean",
-    padding: str = "same",
+    reduction: Reduction = "mean",
+    padding: WindowPadding = "same",
 ) -> Tensor:
     """Compute the structural dissimilarity (1 - ssim) / 2; see :func:`kvision.metrics.ssim`.
 
@@ -59,7 +60,9 @@ def ssim_loss(
     return _reduced(img1, img2, window_size, arguments, reduction)
 
 
-def _reduced(x: Tensor, y: Tensor, size: int, arguments: tuple[float, float, float, int], reduction: str) -> Tensor:
+def _reduced(
+    x: Tensor, y: Tensor, size: int, arguments: tuple[float, float, float, int], reduction: Reduction
+) -> Tensor:
     less = size - 1 if arguments[-1] == VALID else 0
     count = x.shape[0] * x.shape[1]
     for n in x.shape[2:]:
@@ -67,7 +70,7 @@ def _reduced(x: Tensor, y: Tensor, size: int, arguments: tuple[float, float, flo
     return dissimilarity(floats(x), floats(y), size, *arguments, 0.5, 0.0, _weight(reduction, count))
 
 
-def _weight(reduction: str, count: int) -> float:
+def _weight(reduction: Reduction, count: int) -> float:
     return 1.0 if reduction == "sum" else 1 / count if count else math.nan
 
 
@@ -117,8 +120,8 @@ def ssim3d_loss(
     window_size: int,
     max_val: float = 1.0,
     eps: float = 1e-12,
-    reduction: str = "mean",
-    padding: str = "same",
+    reduction: Reduction = "mean",
+    padding: WindowPadding = "same",
 ) -> Tensor:
     """Compute the structural dissimilarity (1 - ssim) / 2 of volumes; see :func:`kvision.metrics.ssim3d`.
 
@@ -166,8 +169,8 @@ class SSIMLoss(FunctionModule):
         window_size: int,
         max_val: float = 1.0,
         eps: float = 1e-12,
-        reduction: str = "mean",
-        padding: str = "same",
+        reduction: Reduction = "mean",
+        padding: WindowPadding = "same",
     ) -> None:
         super().__init__(window_size=window_size, max_val=max_val, eps=eps, reduction=reduction, padding=padding)
 
@@ -191,8 +194,8 @@ class SSIM3DLoss(FunctionModule):
         window_size: int,
         max_val: float = 1.0,
         eps: float = 1e-12,
-        reduction: str = "mean",
-        padding: str = "same",
+        reduction: Reduction = "mean",
+        padding: WindowPadding = "same",
     ) -> None:
         super().__init__(window_size=window_size, max_val=max_val, eps=eps, reduction=reduction, padding=padding)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Literal, TypeAlias, get_args
 
 import torch
 from torch import Tensor
@@ -13,8 +14,11 @@ from kvision._modes import BOX_FORMAT, BOX_FORMAT_NAMES
 from kvision._ops import register, vjp
 from kvision.core.exceptions import ValueCheckError
 
+BoxFormat: TypeAlias = Literal["xyxy", "xywh", "cxcywh"]
+_FORMATS = get_args(BoxFormat)
 
-def mean_iou_bbox(boxes_1: Tensor, boxes_2: Tensor, box_format: str = "xyxy") -> Tensor:
+
+def mean_iou_bbox(boxes_1: Tensor, boxes_2: Tensor, box_format: BoxFormat = "xyxy") -> Tensor:
     """Compute the intersection over union of every box of one set with every box of another.
 
     Args:
@@ -39,7 +43,7 @@ def mean_iou_bbox(boxes_1: Tensor, boxes_2: Tensor, box_format: str = "xyxy") ->
     _check.shape("mean_iou_bbox", "boxes_1", boxes_1, "N", 4)
     _check.shape("mean_iou_bbox", "boxes_2", boxes_2, "M", 4)
     _check.same_device("mean_iou_bbox", boxes_1=boxes_1, boxes_2=boxes_2)
-    _check.choice("mean_iou_bbox", "box_format", box_format, BOX_FORMAT_NAMES)
+    _check.choice("mean_iou_bbox", "box_format", box_format, _FORMATS)
     a, b = floats(boxes_1), floats(boxes_2)
     dtype = torch.promote_types(a.dtype, b.dtype)
     return _box_iou(a.to(dtype)[None], b.to(dtype)[None], BOX_FORMAT[box_format])[0]

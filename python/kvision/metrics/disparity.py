@@ -5,12 +5,13 @@ from __future__ import annotations
 from torch import Tensor
 
 from kvision import _check
+from kvision._choices import Reduction
 from kvision._ops import with_kernel_casts
 from kvision.core.exceptions import ShapeError
 
 
 def mean_absolute_disparity_error(
-    input: Tensor, target: Tensor, valid_mask: Tensor | None = None, reduction: str = "mean"
+    input: Tensor, target: Tensor, valid_mask: Tensor | None = None, reduction: Reduction = "mean"
 ) -> Tensor:
     """Compute the absolute error of a disparity map.
 
@@ -39,7 +40,7 @@ def mean_absolute_disparity_error(
 
 
 def root_mean_squared_disparity_error(
-    input: Tensor, target: Tensor, valid_mask: Tensor | None = None, reduction: str = "mean"
+    input: Tensor, target: Tensor, valid_mask: Tensor | None = None, reduction: Reduction = "mean"
 ) -> Tensor:
     """Compute the root of the mean squared error of a disparity map.
 
@@ -69,7 +70,7 @@ def mean_bad_pixel_error(
     target: Tensor,
     threshold: float = 3.0,
     valid_mask: Tensor | None = None,
-    reduction: str = "mean",
+    reduction: Reduction = "mean",
 ) -> Tensor:
     """Compute the fraction of pixels whose disparity error exceeds a threshold.
 
@@ -102,7 +103,7 @@ def kitti_d1_error(
     abs_threshold: float = 3.0,
     rel_threshold: float = 0.05,
     valid_mask: Tensor | None = None,
-    reduction: str = "mean",
+    reduction: Reduction = "mean",
 ) -> Tensor:
     """Compute the fraction of pixels whose disparity error exceeds both an absolute and a relative threshold.
 
@@ -133,7 +134,7 @@ def kitti_d1_error(
     return _fraction_of_bad(input, target, mask, absolute, relative, reduction)
 
 
-def _checked(op: str, input: Tensor, target: Tensor, mask: Tensor | None, reduction: str) -> Tensor | None:
+def _checked(op: str, input: Tensor, target: Tensor, mask: Tensor | None, reduction: Reduction) -> Tensor | None:
     for name, x in (("input", input), ("target", target)):
         _check.numbers(op, name, x)
         _check.floating(op, name, x)
@@ -153,7 +154,7 @@ def _checked(op: str, input: Tensor, target: Tensor, mask: Tensor | None, reduct
     return mask.bool().expand(input.shape)
 
 
-def _reduced(error: Tensor, mask: Tensor | None, reduction: str) -> Tensor:
+def _reduced(error: Tensor, mask: Tensor | None, reduction: Reduction) -> Tensor:
     if mask is not None:
         error = error.masked_fill(~mask, 0)
     if reduction == "mean":
@@ -162,12 +163,12 @@ def _reduced(error: Tensor, mask: Tensor | None, reduction: str) -> Tensor:
 
 
 @with_kernel_casts
-def _absolute(input: Tensor, target: Tensor, mask: Tensor | None, reduction: str) -> Tensor:
+def _absolute(input: Tensor, target: Tensor, mask: Tensor | None, reduction: Reduction) -> Tensor:
     return _reduced((input - target).abs(), mask, reduction)
 
 
 @with_kernel_casts
-def _root_mean_squared(input: Tensor, target: Tensor, mask: Tensor | None, reduction: str) -> Tensor:
+def _root_mean_squared(input: Tensor, target: Tensor, mask: Tensor | None, reduction: Reduction) -> Tensor:
     error = input - target
     if mask is not None:
         error = error.masked_fill(~mask, 0)
@@ -190,7 +191,7 @@ def _over(total: Tensor, count: Tensor | float) -> Tensor:
 
 @with_kernel_casts
 def _fraction_of_bad(
-    input: Tensor, target: Tensor, mask: Tensor | None, absolute: float, relative: float, reduction: str
+    input: Tensor, target: Tensor, mask: Tensor | None, absolute: float, relative: float, reduction: Reduction
 ) -> Tensor:
     error = (input - target).abs()
     bad = error > absolute

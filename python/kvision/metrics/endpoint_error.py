@@ -10,13 +10,14 @@ from torch import Tensor
 from torch.compiler import is_compiling
 
 from kvision import _check
+from kvision._choices import Reduction
 from kvision._dtype import as_dtype, compute_dtype, floats
 from kvision._modules import FunctionModule, Sample
 from kvision._ops import not_empty, register
 from kvision.core.exceptions import ShapeError
 
 
-def aepe(input: Tensor, target: Tensor, reduction: str = "mean") -> Tensor:
+def aepe(input: Tensor, target: Tensor, reduction: Reduction = "mean") -> Tensor:
     """Compute the average end-point error: the distance of flow vectors from the true ones.
 
     Args:
@@ -113,7 +114,7 @@ class AEPE(FunctionModule):
 
     samples = (Sample(256, 256, 2),) * 2
 
-    def __init__(self, reduction: str = "mean") -> None:
+    def __init__(self, reduction: Reduction = "mean") -> None:
         super().__init__(reduction=reduction)
 
     def forward(self, input: Tensor, target: Tensor) -> Tensor:

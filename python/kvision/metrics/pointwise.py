@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 from torch.compiler import is_compiling
 
+from kvision._choices import Reduction
 from kvision._dtype import as_dtype, compute_dtype
 from kvision._modes import POINT_LOSS
 from kvision._ops import register
@@ -125,7 +126,7 @@ def _rows(x: Tensor) -> Tensor:
     return x.flatten(1) if x.dim() > 1 else x[:, None]
 
 
-def pointwise(kind: str, x: Tensor, y: Tensor, reduction: str) -> Tensor:
+def pointwise(kind: str, x: Tensor, y: Tensor, reduction: Reduction) -> Tensor:
     """The loss `kind` of floating-point tensors of one shape, in the type of x."""
     if reduction != "none":
         count = x.numel()

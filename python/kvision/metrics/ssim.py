@@ -12,13 +12,14 @@ This form takes four means, of x, y, x^2 + y^2 and (x - y)^2; the textbook's tak
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, get_args
 
 import torch
 from torch import Tensor
 from torch.compiler import is_compiling
 
 from kvision import _check
+from kvision._choices import WindowPadding
 from kvision._clamp import clamp
 from kvision._dtype import as_dtype, compute_dtype, floats
 from kvision._modes import SSIM_PADDING
@@ -27,6 +28,8 @@ from kvision._ops import Operator, register, vjp
 from kvision.core.exceptions import ShapeError
 from kvision.filters.kernels import gaussian
 from kvision.filters.separable import filter_separably
+
+_PADDINGS = get_args(WindowPadding)
 
 SIGMA = 1.5  # of the window, in pixels
 
@@ -189,7 +192,12 @@ def similarity(
 
 
 def ssim(
-    img1: Tensor, img2: Tensor, window_size: int, max_val: float = 1.0, eps: float = 1e-12, padding: str = "same"
+    img1: Tensor,
+    img2: Tensor,
+    window_size: int,
+    max_val: float = 1.0,
+    eps: float = 1e-12,
+    padding: WindowPadding = "same",
 ) -> Tensor:
     """Compute the structural similarity of two images around every pixel.
 
@@ -224,13 +232,20 @@ def ssim(
     return ssim_map("ssim", img1, img2, window_size, max_val, eps, padding)
 
 
-def ssim_map(op: str, img1: Tensor, img2: Tensor, window_size: int, max_val: float, eps: float, padding: str) -> Tensor:
+def ssim_map(
+    op: str, img1: Tensor, img2: Tensor, window_size: int, max_val: float, eps: float, padding: WindowPadding
+) -> Tensor:
     arguments = checked(op, img1, img2, window_size, max_val, eps, padding)
     return similarity(floats(img1), floats(img2), window_size, SIGMA, *arguments, True)
 
 
 def ssim3d(
-    img1: Tensor, img2: Tensor, window_size: int, max_val: float = 1.0, eps: float = 1e-12, padding: str = "same"
+    img1: Tensor,
+    img2: Tensor,
+    window_size: int,
+    max_val: float = 1.0,
+    eps: float = 1e-12,
+    padding: WindowPadding = "same",
 ) -> Tensor:
     """Compute the structural similarity of two volumes around every voxel; see :func:`ssim`.
 
@@ -257,14 +272,14 @@ def ssim3d(
 
 
 def ssim3d_map(
-    op: str, img1: Tensor, img2: Tensor, window_size: int, max_val: float, eps: float, padding: str
+    op: str, img1: Tensor, img2: Tensor, window_size: int, max_val: float, eps: float, padding: WindowPadding
 ) -> Tensor:
     img1, img2, arguments = checked_volumes(op, img1, img2, window_size, max_val, eps, padding)
     return similarity(img1, img2, window_size, SIGMA, *arguments, True)
 
 
 def checked(
-    op: str, img1: Tensor, img2: Tensor, size: int, max_val: float, eps: float, padding: str
+    op: str, img1: Tensor, img2: Tensor, size: int, max_val: float, eps: float, padding: WindowPadding
 ) -> tuple[float, float, float, int]:
     """Check two images; return c1, c2, eps and the number of the padding."""
     _check.images(op, "img1", img1)
@@ -272,7 +287,7 @@ def checked(
 
 
 def checked_volumes(
-    op: str, img1: Tensor, img2: Tensor, size: int, max_val: float, eps: float, padding: str
+    op: str, img1: Tensor, img2: Tensor, size: int, max_val: float, eps: float, padding: WindowPadding
 ) -> tuple[Tensor, Tensor, tuple[float, float, float, int]]:
     """Check two volumes; return them as floats, and c1, c2, eps and the number of the padding.
 
@@ -289,7 +304,7 @@ def checked_volumes(
 
 
 def _arguments(
-    op: str, img1: Tensor, img2: Tensor, size: int, max_val: float, eps: float, padding: str
+    op: str, img1: Tensor, img2: Tensor, size: int, max_val: float, eps: float, padding: WindowPadding
 ) -> tuple[float, float, float, int]:
     """c1, c2, eps and the number of the padding."""
     _check.numbers(op, "img2", img2)
@@ -299,7 +314,7 @@ def _arguments(
     _check.odd(op, "window_size", _check.ints(op, "window_size", size, 1))
     max_val = _check.number(op, "max_val", max_val)
     eps = _check.number(op, "eps", eps, minimum=0)
-    _check.choice(op, "padding", padding, ("same", "valid"))
+    _check.choice(op, "padding", padding, _PADDINGS)
     smallest = min(img1.shape[2:])
     if padding == "same" and smallest <= size // 2 and img1.dim() == 4:
         _check.reflectable(op, img1, (size // 2,) * 2, "reflect", "use a smaller window_size")
@@ -322,7 +337,9 @@ class SSIM(FunctionModule):
 
     samples = IMAGE, IMAGE
 
-    def __init__(self, window_size: int, max_val: float = 1.0, eps: float = 1e-12, padding: str = "same") -> None:
+    def __init__(
+        self, window_size: int, max_val: float = 1.0, eps: float = 1e-12, padding: WindowPadding = "same"
+    ) -> None:
         super().__init__(window_size=window_size, max_val=max_val, eps=eps, padding=padding)
 
     def forward(self, img1: Tensor, img2: Tensor) -> Tensor:
@@ -340,7 +357,9 @@ class SSIM3D(FunctionModule):
 
     samples = VOLUME, VOLUME
 
-    def __init__(self, window_size: int, max_val: float = 1.0, eps: float = 1e-12, padding: str = "same") -> None:
+    def __init__(
+        self, window_size: int, max_val: float = 1.0, eps: float = 1e-12, padding: WindowPadding = "same"
+    ) -> None:
         super().__init__(window_size=window_size, max_val=max_val, eps=eps, padding=padding)
 
     def forward(self, img1: Tensor, img2: Tensor) -> Tensor:

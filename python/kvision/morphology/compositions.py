@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from kvision._dtype import pixels
-from kvision.morphology.dilation import checked, dilated, eroded
+from kvision.morphology.dilation import Border, Engine, checked, dilated, eroded
 
 
 def _difference(x: Tensor, y: Tensor, *, reuses_x: bool = True) -> Tensor:
@@ -24,10 +24,10 @@ def opening(
     kernel: Tensor,
     structuring_element: Tensor | None = None,
     origin: Sequence[int] | None = None,
-    border_type: str = "geodesic",
+    border_type: Border = "geodesic",
     border_value: float = 0.0,
     max_val: float = 1e4,
-    engine: str = "auto",
+    engine: Engine = "auto",
 ) -> Tensor:
     """Erode, then dilate: remove bright details that are smaller than the structuring element.
 
@@ -64,10 +64,10 @@ def closing(
     kernel: Tensor,
     structuring_element: Tensor | None = None,
     origin: Sequence[int] | None = None,
-    border_type: str = "geodesic",
+    border_type: Border = "geodesic",
     border_value: float = 0.0,
     max_val: float = 1e4,
-    engine: str = "auto",
+    engine: Engine = "auto",
 ) -> Tensor:
     """Dilate, then erode: fill dark details that are smaller than the structuring element.
 
@@ -104,10 +104,10 @@ def gradient(
     kernel: Tensor,
     structuring_element: Tensor | None = None,
     origin: Sequence[int] | None = None,
-    border_type: str = "geodesic",
+    border_type: Border = "geodesic",
     border_value: float = 0.0,
     max_val: float = 1e4,
-    engine: str = "auto",
+    engine: Engine = "auto",
 ) -> Tensor:
     """Subtract the erosion from the dilation: the height of edges.
 
@@ -144,10 +144,10 @@ def top_hat(
     kernel: Tensor,
     structuring_element: Tensor | None = None,
     origin: Sequence[int] | None = None,
-    border_type: str = "geodesic",
+    border_type: Border = "geodesic",
     border_value: float = 0.0,
     max_val: float = 1e4,
-    engine: str = "auto",
+    engine: Engine = "auto",
 ) -> Tensor:
     """Subtract the opening from the image: the bright details that are smaller than the structuring element.
 
@@ -184,10 +184,10 @@ def bottom_hat(
     kernel: Tensor,
     structuring_element: Tensor | None = None,
     origin: Sequence[int] | None = None,
-    border_type: str = "geodesic",
+    border_type: Border = "geodesic",
     border_value: float = 0.0,
     max_val: float = 1e4,
-    engine: str = "auto",
+    engine: Engine = "auto",
 ) -> Tensor:
     """Subtract the image from the closing: the dark details that are smaller than the structuring element.
 

@@ -11,6 +11,7 @@ Pixels with the same maximum get equal parts of its gradient.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Literal, TypeAlias, get_args
 
 import torch
 import torch.nn.functional as F
@@ -20,6 +21,11 @@ from kvision import _check
 from kvision._dtype import compute_dtype, pixels
 from kvision._ops import register, vjp
 from kvision.core.exceptions import TypeCheckError, ValueCheckError
+
+Border: TypeAlias = Literal["geodesic", "constant"]
+_BORDERS = get_args(Border)
+Engine: TypeAlias = Literal["auto", "unfold", "convolution", "shift"]
+_ENGINES = get_args(Engine)
 
 
 def _reference(
@@ -52,10 +58,10 @@ def dilation(
     kernel: Tensor,
     structuring_element: Tensor | None = None,
     origin: Sequence[int] | None = None,
-    border_type: str = "geodesic",
+    border_type: Border = "geodesic",
     border_value: float = 0.0,
     max_val: float = 1e4,
-    engine: str = "auto",
+    engine: Engine = "auto",
 ) -> Tensor:
     """Take the largest pixel under a structuring element rotated by 180 degrees, as SciPy does.
 
@@ -99,10 +105,10 @@ def erosion(
     kernel: Tensor,
     structuring_element: Tensor | None = None,
     origin: Sequence[int] | None = None,
-    border_type: str = "geodesic",
+    border_type: Border = "geodesic",
     border_value: float = 0.0,
     max_val: float = 1e4,
-    engine: str = "auto",
+    engine: Engine = "auto",
 ) -> Tensor:
     """Take the smallest pixel under a structuring element.
 
@@ -144,10 +150,10 @@ def checked(
     kernel: Tensor,
     structuring_element: Tensor | None,
     origin: Sequence[int] | None,
-    border_type: str,
+    border_type: Border,
     border_value: float,
     max_val: float,
-    engine: str,
+    engine: Engine,
 ) -> Element:
     _check.images(op, "tensor", tensor)
     _check.shape(op, "kernel", kernel, "kH", "kW")
@@ -165,8 +171,8 @@ def checked(
     y, x = origin
     if not (0 <= y < ky and 0 <= x < kx):
         raise ValueCheckError(f"{op}: expected an origin in the kernel {(ky, kx)}, got {origin!r}", actual_value=origin)
-    _check.choice(op, "border_type", border_type, ("geodesic", "constant"), _check.UnknownChoiceError)
-    _check.choice(op, "engine", engine, ("auto", "unfold", "convolution", "shift"), _check.UnknownChoiceError)
+    _check.choice(op, "border_type", border_type, _BORDERS, _check.UnknownChoiceError)
+    _check.choice(op, "engine", engine, _ENGINES, _check.UnknownChoiceError)
     border_value = _check.number(op, "border_value", border_value)
     _check.number(op, "max_val", max_val)
     dtype = compute_dtype(tensor)

@@ -2,24 +2,30 @@
 
 from __future__ import annotations
 
+from typing import Literal, TypeAlias, get_args
+
 import torch
 from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype
 from kvision._torch_compat import without_transforms
-from kvision.core.exceptions import ValueCheckError
 from kvision.morphology.dilation import dilated
+
+Method: TypeAlias = Literal["dilation", "erosion"]
+_METHODS = get_args(Method)
+Engine: TypeAlias = Literal["auto", "unfold", "shift"]
+_ENGINES = get_args(Engine)
 
 
 def reconstruction(
     seed: Tensor,
     mask: Tensor,
     kernel: Tensor | None = None,
-    method: str = "dilation",
+    method: Method = "dilation",
     num_iters: int | None = None,
     check_every: int = 4,
-    engine: str = "auto",
+    engine: Engine = "auto",
 ) -> Tensor:
     """Reconstruct morphologically: dilate a seed and take the minimum with the mask, until nothing changes.
 
@@ -62,9 +68,8 @@ def reconstruction(
     _check.shape(op, "kernel", kernel, "kH", "kW")
     _check.odd(op, "kernel", kernel.shape)
     kernel = _check.to_device_of(op, seed, "kernel", kernel, of="seed")
-    _check.choice(op, "method", method, ("dilation", "erosion"))
-    if engine not in ("auto", "unfold", "shift"):
-        raise ValueCheckError(f"{op}: engine must be one of auto, unfold, shift; got {engine!r}", actual_value=engine)
+    _check.choice(op, "method", method, _METHODS)
+    _check.choice(op, "engine", engine, _ENGINES)
     if num_iters is not None:
         _check.ints(op, "num_iters", num_iters, 1, 0)
     _check.ints(op, "check_every", check_every, 1)

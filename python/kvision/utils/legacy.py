@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Literal
 
 import torch
 from torch import Tensor
 
+from kvision import _check
+
 __all__ = ["map_location_to_cpu", "torch_meshgrid"]
 
 
-def torch_meshgrid(tensors: Sequence[Tensor], indexing: str) -> tuple[Tensor, ...]:
+def torch_meshgrid(tensors: Sequence[Tensor], indexing: Literal["ij", "xy"]) -> tuple[Tensor, ...]:
     """Make coordinate grids, as `torch.meshgrid` does.
 
     Args:
@@ -26,6 +28,7 @@ def torch_meshgrid(tensors: Sequence[Tensor], indexing: str) -> tuple[Tensor, ..
         >>> [grid.shape for grid in K.utils.torch_meshgrid([torch.arange(2), torch.arange(3)], "xy")]
         [torch.Size([3, 2]), torch.Size([3, 2])]
     """
+    _check.choice("torch_meshgrid", "indexing", indexing, ("ij", "xy"))
     return torch.meshgrid(*tensors, indexing=indexing)
 
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Literal, TypeAlias
 
 from torch import Generator
 
 from kvision import _check
 from kvision._check import UnknownChoiceError
+from kvision._choices import MatrixMode
 from kvision.augmentation.auto.policy_base import LEVELS, PolicyAugmentBase, check_integer, sub_policies
 from kvision.core.exceptions import TypeCheckError, ValueCheckError
 
@@ -54,7 +55,8 @@ _TRIVIAL = [
 ]
 
 # The sub-policies of Cubuk et al., AutoAugment, 2019: name, probability in tenths, level; - for operations without one.
-AUTO_POLICIES = {
+AutoPolicy: TypeAlias = Literal["imagenet", "cifar10", "svhn"]
+AUTO_POLICIES: dict[AutoPolicy, Any] = {
     "imagenet": """
         posterize 4 8, rotate 6 9
         solarize 6 5, auto_contrast 6 -
@@ -169,8 +171,8 @@ class AutoAugment(PolicyAugmentBase):
 
     def __init__(
         self,
-        policy: str | Sequence[Sequence[tuple[str, float, int | None]]] = "imagenet",
-        transformation_matrix_mode: str = "silent",
+        policy: AutoPolicy | Sequence[Sequence[tuple[str, float, int | None]]] = "imagenet",
+        transformation_matrix_mode: MatrixMode = "silent",
         *,
         same_on_batch: bool | None = None,
         generator: Generator | None = None,
@@ -221,7 +223,7 @@ class RandAugment(PolicyAugmentBase):
         n: int,
         m: float,
         policy: Sequence[Sequence[tuple[str, float, float]]] | None = None,
-        transformation_matrix_mode: str = "silent",
+        transformation_matrix_mode: MatrixMode = "silent",
         *,
         same_on_batch: bool | None = None,
         generator: Generator | None = None,
@@ -268,7 +270,7 @@ class TrivialAugment(PolicyAugmentBase):
     def __init__(
         self,
         policy: Sequence[Sequence[tuple[str, float, float]]] | None = None,
-        transformation_matrix_mode: str = "silent",
+        transformation_matrix_mode: MatrixMode = "silent",
         *,
         same_on_batch: bool | None = None,
         generator: Generator | None = None,

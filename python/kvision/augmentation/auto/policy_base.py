@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 import torch
 from torch import Generator, Tensor
 
 from kvision import _check
+from kvision._choices import MatrixMode
 from kvision._ops import FastPath
 from kvision.augmentation.auto.operation_table import OPERATIONS, execute_steps
 from kvision.augmentation.columns import DrawPlan, fits_one_launch, plan_draws
@@ -29,7 +30,7 @@ from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 __all__ = ["PolicyAugmentBase"]
 
 LEVELS = 30  # the highest level of magnitude; the lowest is 0
-_MODES = ("silent", "silence", "rigid", "skip")
+_MODES = get_args(MatrixMode)
 
 _choose_operations = FastPath("choose_operations", (torch.float32,))
 
@@ -96,7 +97,7 @@ class PolicyAugmentBase(ImageSequential):
     def __init__(
         self,
         policy: Sequence[Sequence[Sequence[Any]]],
-        transformation_matrix_mode: str = "silence",
+        transformation_matrix_mode: MatrixMode = "silence",
         *,
         count: int = 1,
         same_on_batch: bool | None = None,
@@ -111,11 +112,7 @@ class PolicyAugmentBase(ImageSequential):
             )
         super().__init__(same_on_batch=same_on_batch, generator=generator, return_transform=return_transform)
         op = type(self).__name__
-        if transformation_matrix_mode not in _MODES:
-            raise ValueCheckError(
-                f"{op}: expected transformation_matrix_mode to be 'silent', 'rigid' or 'skip', got "
-                f"{transformation_matrix_mode!r}"
-            )
+        _check.choice(op, "transformation_matrix_mode", transformation_matrix_mode, _MODES)
         count = check_integer(op, "count", count)
         if count < 1:
             raise ValueCheckError(f"{op}: expected count of at least 1, got {count}")

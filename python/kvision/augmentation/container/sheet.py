@@ -13,7 +13,7 @@ from kvision import _check
 from kvision.augmentation.container import AugmentationSequential, ImageSequentialBase
 from kvision.augmentation.labels import BOX_FORMATS, box_corners, parse_data_keys
 from kvision.augmentation.normalize import Denormalize, Normalize
-from kvision.constants import DataKey
+from kvision.constants import DataKey, DataKeys
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 from kvision.core.pixels import to_unit
 from kvision.image import drawing
@@ -25,7 +25,7 @@ __all__ = ["preview"]
 def preview(
     augment: nn.Module,
     *inputs: Any,
-    data_keys: Sequence[str | int | DataKey] | None = None,
+    data_keys: DataKeys | None = None,
     count: int = 8,
     columns: int = 3,
     size: int = 256,
@@ -79,7 +79,7 @@ def preview(
 def draw_samples(
     augment: nn.Module,
     inputs: Sequence[Any],
-    data_keys: Sequence[str | int | DataKey] | None = None,
+    data_keys: DataKeys | None = None,
     count: int = 8,
     size: int = 256,
     seed: int | None = None,

@@ -15,6 +15,7 @@ from kvision.augmentation.corruption.noises import in_type_of
 from kvision.augmentation.engine import Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
 from kvision.augmentation.random_generator.mapped import MappedGenerator, NoiseMap
+from kvision.augmentation.ranges import Numbers
 from kvision.augmentation.samples import per_sample
 from kvision.augmentation.warp_and_color import Resampling
 from kvision.core.exceptions import ValueCheckError
@@ -117,7 +118,7 @@ class Defocus(IntensityAugmentationBase2D, keeps_contract=True):
     def __init__(
         self,
         radius_range: tuple[int, int] = (3, 10),
-        alias_blur_range: Any = (0.1, 0.5),
+        alias_blur_range: Numbers = (0.1, 0.5),
         same_on_batch: bool = False,
         p: float = 0.5,
         keepdim: bool = False,
@@ -166,7 +167,7 @@ class RingingOvershoot(IntensityAugmentationBase2D, keeps_contract=True):
     def __init__(
         self,
         blur_range: tuple[int, int] = (7, 15),
-        cutoff_range: Any = (math.pi / 4, math.pi / 2),
+        cutoff_range: Numbers = (math.pi / 4, math.pi / 2),
         same_on_batch: bool = False,
         p: float = 0.5,
         keepdim: bool = False,
@@ -221,8 +222,8 @@ class ZoomBlur(IntensityAugmentationBase2D, keeps_contract=True):
 
     def __init__(
         self,
-        max_factor_range: Any = (1.0, 1.31),
-        step_factor_range: Any = (0.01, 0.03),
+        max_factor_range: Numbers = (1.0, 1.31),
+        step_factor_range: Numbers = (0.01, 0.03),
         same_on_batch: bool = False,
         p: float = 0.5,
         keepdim: bool = False,

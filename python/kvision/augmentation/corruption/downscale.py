@@ -13,6 +13,7 @@ from kvision._dtype import compute_dtype
 from kvision.augmentation.engine import Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
 from kvision.augmentation.random_generator.mapped import MappedGenerator
+from kvision.augmentation.ranges import Numbers
 
 
 class Downscale(IntensityAugmentationBase2D, keeps_contract=True):
@@ -39,7 +40,7 @@ class Downscale(IntensityAugmentationBase2D, keeps_contract=True):
 
     def __init__(
         self,
-        scale_range: Any = (0.25, 0.25),
+        scale_range: Numbers = (0.25, 0.25),
         antialias: bool = False,
         same_on_batch: bool = False,
         p: float = 0.5,

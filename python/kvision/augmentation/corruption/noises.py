@@ -16,6 +16,7 @@ from kvision.augmentation.corruption.poisson import poisson_quantile
 from kvision.augmentation.engine import Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
 from kvision.augmentation.random_generator.mapped import MappedGenerator, NoiseMap
+from kvision.augmentation.ranges import Numbers
 from kvision.augmentation.samples import per_sample
 from kvision.color.hls import hls_to_rgb, rgb_to_hls
 from kvision.core.exceptions import ShapeError
@@ -52,7 +53,7 @@ class ShotNoise(IntensityAugmentationBase2D, keeps_contract=True):
 
     def __init__(
         self,
-        scale_range: Any = (0.1, 0.3),
+        scale_range: Numbers = (0.1, 0.3),
         same_on_batch: bool = False,
         p: float = 0.5,
         keepdim: bool = False,
@@ -98,8 +99,8 @@ class ISONoise(IntensityAugmentationBase2D, keeps_contract=True):
 
     def __init__(
         self,
-        color_shift_range: Any = (0.01, 0.05),
-        intensity_range: Any = (0.1, 0.5),
+        color_shift_range: Numbers = (0.01, 0.05),
+        intensity_range: Numbers = (0.1, 0.5),
         same_on_batch: bool = False,
         p: float = 0.5,
         keepdim: bool = False,
@@ -157,7 +158,7 @@ class MultiplicativeNoise(IntensityAugmentationBase2D, keeps_contract=True):
 
     def __init__(
         self,
-        multiplier: Any = (0.9, 1.1),
+        multiplier: Numbers = (0.9, 1.1),
         per_channel: bool = False,
         elementwise: bool = False,
         same_on_batch: bool = False,
@@ -202,7 +203,7 @@ class SpeckleNoise(IntensityAugmentationBase2D, keeps_contract=True):
 
     def __init__(
         self,
-        std_range: Any = (0.1, 0.4),
+        std_range: Numbers = (0.1, 0.4),
         same_on_batch: bool = False,
         p: float = 0.5,
         keepdim: bool = False,

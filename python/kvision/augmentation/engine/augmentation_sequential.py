@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Literal, get_args
 
 import torch
 from torch import Generator, Tensor, nn
 
+from kvision import _check
+from kvision._choices import EachOrOnce, MatrixMode, OutputType
 from kvision.augmentation import labels
 from kvision.augmentation.engine.augmentation import RigidAffineAugmentationBase2D, RigidAffineAugmentationBase3D
 from kvision.augmentation.engine.image_sequential import ImageSequential, ParamItem
@@ -39,7 +41,7 @@ from kvision.augmentation.inputs import (
 )
 from kvision.augmentation.keys import Seed
 from kvision.augmentation.samples import inverse_at
-from kvision.constants import DataKey, Resample
+from kvision.constants import AnyDataKey, DataKey, DataKeys, Resample
 from kvision.core.exceptions import BaseError, ValueCheckError
 
 __all__ = ["AugmentationSequential"]
@@ -114,22 +116,22 @@ class AugmentationSequential(ImageSequential):
     def __init__(
         self,
         *args: nn.Module,
-        data_keys: Sequence[str | int | DataKey] | None = (DataKey.INPUT,),
+        data_keys: DataKeys | None = (DataKey.INPUT,),
         same_on_batch: bool | None = None,
         keepdim: bool | None = None,
         random_apply: int | bool | tuple[int, int] | tuple[int] = False,
         random_apply_weights: Sequence[float] | None = None,
-        transformation_matrix_mode: str = "silent",
+        transformation_matrix_mode: MatrixMode = "silent",
         extra_args: dict[Any, dict[str, Any]] | None = None,
-        resample: str = "each",
-        clip_boxes: bool | str = False,
+        resample: EachOrOnce = "each",
+        clip_boxes: bool | Literal["each"] = False,
         min_box_area: float = 0.0,
         min_box_visibility: float = 0.0,
         generator: Generator | None = None,
         output_dtype: torch.dtype | None = None,
         memory_format: torch.memory_format | None = None,
         return_transform: bool | None = None,
-        keys: Mapping[str, str | int | DataKey] | None = None,
+        keys: Mapping[str, AnyDataKey] | None = None,
     ) -> None:
         super().__init__(
             *args,
@@ -143,11 +145,8 @@ class AugmentationSequential(ImageSequential):
             memory_format=memory_format,
             return_transform=return_transform,
         )
-        if transformation_matrix_mode not in ("silent", "silence", "rigid", "skip"):
-            raise ValueCheckError(
-                "AugmentationSequential: expected transformation_matrix_mode to be 'silent', 'rigid' or 'skip', got "
-                f"{transformation_matrix_mode!r}"
-            )
+        op = "AugmentationSequential"
+        _check.choice(op, "transformation_matrix_mode", transformation_matrix_mode, get_args(MatrixMode))
         self.data_keys = None if data_keys is None else labels.parse_data_keys("AugmentationSequential", data_keys)
         if self.data_keys is not None and self.data_keys[0] != DataKey.INPUT:
             raise ValueCheckError(
@@ -175,11 +174,11 @@ class AugmentationSequential(ImageSequential):
         self,
         *args: Any,
         params: Sequence[ParamItem] | None = None,
-        data_keys: Sequence[str | int | DataKey] | None = None,
+        data_keys: DataKeys | None = None,
         seed: Seed = None,
         generator: Generator | None = None,
         return_transform: bool | None = None,
-        output_type: str = "pt",
+        output_type: OutputType = "pt",
     ) -> Any:
         """Augment images with what belongs to them.
 
@@ -249,7 +248,7 @@ class AugmentationSequential(ImageSequential):
             return None
         return parse_entries("AugmentationSequential", args[0], self._names, self, self._warned)
 
-    def _keys_of(self, args: Sequence[Any], data_keys: Sequence[str | int | DataKey] | None) -> list[DataKey]:
+    def _keys_of(self, args: Sequence[Any], data_keys: DataKeys | None) -> list[DataKey]:
         """The keys of arguments: those of the call, or else of the constructor."""
         op = "AugmentationSequential"
         keys = self.data_keys if data_keys is None else labels.parse_data_keys(op, data_keys)
@@ -360,7 +359,7 @@ class AugmentationSequential(ImageSequential):
         self,
         *args: Any,
         params: Sequence[ParamItem] | None = None,
-        data_keys: Sequence[str | int | DataKey] | None = None,
+        data_keys: DataKeys | None = None,
     ) -> Any:
         """Undo the geometric part of a call, the last one unless parameters are given.
 

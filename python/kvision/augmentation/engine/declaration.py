@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import torch
 from torch import Generator, Tensor, nn
+from typing_extensions import Self
 
 from kvision import _check
 from kvision.augmentation.columns import Names, Span, name_columns
@@ -43,7 +44,7 @@ class KeepsArguments(nn.Module):
 
     _arguments: tuple[tuple[Any, ...], dict[str, Any]] = ((), {})
 
-    def __new__(cls, *args: Any, **kwargs: Any) -> Any:
+    def __new__(cls, *args: Any, **kwargs: Any) -> Self:
         self = super().__new__(cls)
         self.__dict__["_arguments"] = (args, kwargs)
         return self

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 import torch
 from torch import Generator, Tensor, nn
 
+from kvision import _check
+from kvision._choices import EachOrOnce, OutputType
 from kvision._modules import give_own_forward
 from kvision._ops import FLOATS
 from kvision.augmentation.engine.augmentation import AugmentationBase
@@ -48,6 +50,7 @@ from kvision.geometry.transform.lists.arguments import check_list, largest_shape
 
 __all__ = ["ImageSequential", "ImageSequentialBase", "ParamItem"]
 
+_EACH_OR_ONCE = get_args(EachOrOnce)
 Children = Iterator[tuple[str, nn.Module]]
 
 
@@ -209,7 +212,7 @@ class ImageSequential(ImageSequentialBase):
         if_unsupported_ops: str = "raise",
         disable_item_features: bool = True,
         disable_sequential_features: bool = False,
-        resample: str = "each",
+        resample: EachOrOnce = "each",
         generator: Generator | None = None,
         output_dtype: torch.dtype | None = None,
         memory_format: torch.memory_format | None = None,
@@ -217,8 +220,7 @@ class ImageSequential(ImageSequentialBase):
     ) -> None:
         super().__init__(*args, same_on_batch=same_on_batch, keepdim=keepdim)
         op = type(self).__name__
-        if resample not in ("each", "once"):
-            raise ValueCheckError(f"{op}: expected resample to be 'each' or 'once', got {resample!r}")
+        _check.choice(op, "resample", resample, _EACH_OR_ONCE)
         if random_apply_weights is not None and len(random_apply_weights) != len(self):
             raise ValueCheckError(
                 f"{op}: expected {len(self)} random_apply_weights, one of each child, got {len(random_apply_weights)}"
@@ -419,7 +421,7 @@ class ImageSequential(ImageSequentialBase):
         seed: Seed = None,
         generator: Generator | None = None,
         return_transform: bool | None = None,
-        output_type: str = "pt",
+        output_type: OutputType = "pt",
     ) -> Any:
         """Augment images.
 

@@ -5,12 +5,14 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 import torch
 import torch.nn.functional as F
 from torch import Generator, Tensor, nn
 
+from kvision import _check
+from kvision._choices import OutputType, WindowPadding
 from kvision.augmentation.engine.choices import execute_turns
 from kvision.augmentation.engine.image_sequential import (
     ImageSequential,
@@ -80,7 +82,7 @@ class PatchSequential(ImageSequential):
         self,
         *args: nn.Module,
         grid_size: tuple[int, int] = (4, 4),
-        padding: str = "same",
+        padding: WindowPadding = "same",
         same_on_batch: bool | None = None,
         keepdim: bool | None = None,
         patchwise_apply: bool = True,
@@ -99,8 +101,7 @@ class PatchSequential(ImageSequential):
             return_transform=return_transform,
         )
         self.grid_size = parse_size("PatchSequential", grid_size)
-        if padding not in ("same", "valid"):
-            raise ValueCheckError(f"PatchSequential: expected padding to be 'same' or 'valid', got {padding!r}")
+        _check.choice("PatchSequential", "padding", padding, get_args(WindowPadding))
         cells = self.grid_size[0] * self.grid_size[1]
         if patchwise_apply and random_apply is False and len(args) != cells:
             raise ValueCheckError(
@@ -111,7 +112,9 @@ class PatchSequential(ImageSequential):
 
     # --- cells ---
 
-    def compute_padding(self, input: Tensor, padding: str, grid_size: tuple[int, int] | None = None) -> Padding:
+    def compute_padding(
+        self, input: Tensor, padding: WindowPadding, grid_size: tuple[int, int] | None = None
+    ) -> Padding:
         """Left, right, top and bottom padding of images; negative where they are cropped."""
         sides: list[int] = []
         for n, cells in zip(reversed(input.shape[-2:]), reversed(grid_size or self.grid_size)):
@@ -161,7 +164,7 @@ class PatchSequential(ImageSequential):
         seed: Seed = None,
         generator: Generator | None = None,
         return_transform: bool | None = None,
-        output_type: str = "pt",
+        output_type: OutputType = "pt",
     ) -> Any:
         """Augment the cells of images.
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Literal, TypeAlias, get_args
 
 import torch
 from torch import Generator, Tensor, nn
 
+from kvision import _check
+from kvision._choices import EachOrOnce, OutputType
 from kvision.augmentation.engine.image_sequential import ImageSequential, ParamItem
 from kvision.augmentation.engine.record import Record
 from kvision.augmentation.engine.runs import CallContext, Stage
@@ -21,9 +23,11 @@ from kvision.augmentation.inputs import (
 )
 from kvision.augmentation.keys import Seed
 from kvision.augmentation.samples import inverse_at
-from kvision.core.exceptions import ValueCheckError
 
 __all__ = ["VideoSequential"]
+
+
+VideoFormat: TypeAlias = Literal["BTCHW", "BCTHW"]
 
 
 class VideoSequential(ImageSequential):
@@ -61,12 +65,12 @@ class VideoSequential(ImageSequential):
     def __init__(
         self,
         *args: nn.Module,
-        data_format: str = "BTCHW",
+        data_format: VideoFormat = "BTCHW",
         same_on_frame: bool = True,
         random_apply: int | bool | tuple[int, int] | tuple[int] = False,
         random_apply_weights: Sequence[float] | None = None,
         if_unsupported_ops: str = "raise",
-        resample: str = "each",
+        resample: EachOrOnce = "each",
         generator: Generator | None = None,
         output_dtype: torch.dtype | None = None,
         memory_format: torch.memory_format | None = None,
@@ -82,11 +86,9 @@ class VideoSequential(ImageSequential):
             memory_format=memory_format,
             return_transform=return_transform,
         )
-        if not isinstance(data_format, str) or data_format.upper() not in ("BTCHW", "BCTHW"):
-            raise ValueCheckError(
-                f"VideoSequential: expected data_format to be 'BTCHW' or 'BCTHW', got {data_format!r}"
-            )
-        self.data_format, self.same_on_frame = data_format.upper(), same_on_frame
+        order = data_format.upper() if isinstance(data_format, str) else data_format
+        _check.choice("VideoSequential", "data_format", order, get_args(VideoFormat))
+        self.data_format, self.same_on_frame = order, same_on_frame
 
     # Frames are samples of a batch (B T, C, H, W), and the parameters of a video are repeated for its frames.
 
@@ -105,7 +107,7 @@ class VideoSequential(ImageSequential):
         seed: Seed = None,
         generator: Generator | None = None,
         return_transform: bool | None = None,
-        output_type: str = "pt",
+        output_type: OutputType = "pt",
     ) -> Any:
         """Augment videos.
 

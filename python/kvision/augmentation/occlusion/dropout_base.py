@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 import torch
 from torch import Tensor
@@ -13,6 +13,7 @@ from kvision._dtype import compute_dtype
 from kvision.augmentation import ranges
 from kvision.augmentation.engine import Execution, Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
+from kvision.augmentation.ranges import Numbers
 from kvision.core.exceptions import ShapeError
 
 
@@ -25,7 +26,7 @@ class DropoutBase(IntensityAugmentationBase2D, keeps_contract=True):
 
     fill_names: ClassVar[tuple[str, str]] = ("fill", "fill_mask")  # of the arguments
 
-    def __init__(self, fill: Any, fill_mask: float | None, **options: Any) -> None:
+    def __init__(self, fill: Numbers | Literal["random"], fill_mask: float | None, **options: Any) -> None:
         super().__init__(**options)
         op, (name, mask_name) = type(self).__name__, self.fill_names
         self.fill = ranges.fill_value(op, name, fill)

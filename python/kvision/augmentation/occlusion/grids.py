@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, Literal
 
 import torch
 from torch import Tensor
@@ -14,6 +14,7 @@ from kvision.augmentation.engine import Params
 from kvision.augmentation.occlusion.dropout_base import DropoutBase
 from kvision.augmentation.random_generator.mapped import MappedGenerator
 from kvision.augmentation.random_generator.occlusion import GridDropoutGenerator, fill_maps
+from kvision.augmentation.ranges import Numbers
 
 
 class GridDropout(DropoutBase, keeps_contract=True):
@@ -51,7 +52,7 @@ class GridDropout(DropoutBase, keeps_contract=True):
         unit_size_range: tuple[int, int] | None = None,
         holes_number_xy: tuple[int, int] | None = None,
         shift_xy: tuple[int, int] = (0, 0),
-        fill: Any = 0.0,
+        fill: Numbers | Literal["random"] = 0.0,
         fill_mask: float | None = 0.0,
         same_on_batch: bool = False,
         p: float = 0.5,
@@ -150,9 +151,9 @@ class GridMask(DropoutBase, keeps_contract=True):
     def __init__(
         self,
         num_grid_range: tuple[int, int] = (3, 7),
-        line_width_range: Any = (0.2, 0.5),
-        rotation_range: Any = (0.0, 0.0),
-        fill: Any = 0.0,
+        line_width_range: Numbers = (0.2, 0.5),
+        rotation_range: Numbers = (0.0, 0.0),
+        fill: Numbers | Literal["random"] = 0.0,
         fill_mask: float | None = 0.0,
         same_on_batch: bool = False,
         p: float = 0.5,

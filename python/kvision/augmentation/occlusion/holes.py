@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal
 
 import torch
 from torch import Tensor
@@ -11,6 +11,7 @@ from kvision.augmentation import ranges
 from kvision.augmentation.engine import Params
 from kvision.augmentation.occlusion.dropout_base import DropoutBase
 from kvision.augmentation.random_generator.occlusion import Holes, HolesGenerator, Lengths
+from kvision.augmentation.ranges import Numbers
 
 
 class HoleDropout(DropoutBase, keeps_contract=True):
@@ -54,9 +55,9 @@ class CoarseDropout(HoleDropout, keeps_contract=True):
     def __init__(
         self,
         num_holes_range: tuple[int, int] = (1, 2),
-        hole_height_range: Any = (0.1, 0.2),
-        hole_width_range: Any = (0.1, 0.2),
-        fill: Any = 0.0,
+        hole_height_range: Numbers = (0.1, 0.2),
+        hole_width_range: Numbers = (0.1, 0.2),
+        fill: Numbers | Literal["random"] = 0.0,
         fill_mask: float | None = 0.0,
         same_on_batch: bool = False,
         p: float = 0.5,
@@ -102,9 +103,9 @@ class XYMasking(HoleDropout, keeps_contract=True):
         self,
         num_masks_x_range: tuple[int, int] = (0, 0),
         num_masks_y_range: tuple[int, int] = (0, 0),
-        mask_x_length_range: Any = (0, 0),
-        mask_y_length_range: Any = (0, 0),
-        fill: Any = 0.0,
+        mask_x_length_range: Numbers = (0, 0),
+        mask_y_length_range: Numbers = (0, 0),
+        fill: Numbers | Literal["random"] = 0.0,
         fill_mask: float | None = 0.0,
         same_on_batch: bool = False,
         p: float = 0.5,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal
 
 import torch
 from torch import Tensor
@@ -13,6 +13,7 @@ from kvision.augmentation.engine import Params
 from kvision.augmentation.occlusion.dropout_base import DropoutBase
 from kvision.augmentation.random_generator.mapped import MappedGenerator, NoiseMap
 from kvision.augmentation.random_generator.occlusion import fill_maps
+from kvision.augmentation.ranges import Numbers
 
 
 class PixelDropout(DropoutBase, keeps_contract=True):
@@ -40,9 +41,9 @@ class PixelDropout(DropoutBase, keeps_contract=True):
 
     def __init__(
         self,
-        dropout_prob: Any = 0.01,
+        dropout_prob: Numbers = 0.01,
         per_channel: bool = False,
-        drop_value: Any = 0.0,
+        drop_value: Numbers | Literal["random"] = 0.0,
         mask_drop_value: float | None = None,
         same_on_batch: bool = False,
         p: float = 0.5,

@@ -9,12 +9,13 @@ import torch
 from torch import Generator, Tensor, nn
 
 import kvision.augmentation as A
+from kvision._choices import OutputType
 from kvision.augmentation.columns import draw_columns
 from kvision.augmentation.draws import Request, uniform
 from kvision.augmentation.engine import AugmentationSequential, ParamItem, Record
 from kvision.augmentation.keys import Seed, draw_keys
 from kvision.augmentation.samples import where_chosen
-from kvision.constants import DataKey
+from kvision.constants import DataKey, DataKeys
 from kvision.core.exceptions import TypeCheckError, ValueCheckError
 from kvision.core.pixels import to_unit
 
@@ -67,7 +68,7 @@ class AdaptiveDiscriminatorAugmentation(AugmentationSequential):
         erasing_scale: tuple[float, float] = (0.02, 0.33),
         erasing_ratio: tuple[float, float] = (0.3, 3.3),
         erasing_fill_value: float = 0.0,
-        data_keys: Sequence[str | int | DataKey] | None = None,
+        data_keys: DataKeys | None = None,
         same_on_batch: bool | None = False,
         **kwargs: Any,
     ) -> None:
@@ -114,12 +115,12 @@ class AdaptiveDiscriminatorAugmentation(AugmentationSequential):
         self,
         *inputs: Any,
         params: Sequence[ParamItem] | None = None,
-        data_keys: Sequence[str | int | DataKey] | None = None,
+        data_keys: DataKeys | None = None,
         real_acc: float | Tensor | None = None,
         seed: Seed = None,
         generator: Generator | None = None,
         return_transform: bool | None = None,
-        output_type: str = "pt",
+        output_type: OutputType = "pt",
     ) -> Any:
         """Augment a fraction of the samples.
 

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from kvision.augmentation import ranges
 from kvision.augmentation.random_generator.base import RandomGeneratorBase, Shape
+from kvision.augmentation.ranges import Numbers, NumbersOfAxes
 from kvision.augmentation.transforms import center_of
 from kvision.core.exceptions import TypeCheckError
 
@@ -41,7 +42,13 @@ class AffineGenerator(RandomGeneratorBase):
 
     fields = (("angle", 0), ("translations", 2), ("scale", 2), ("shear_x", 0), ("shear_y", 0))
 
-    def __init__(self, degrees: Any, translate: Any = None, scale: Any = None, shear: Any = None) -> None:
+    def __init__(
+        self,
+        degrees: NumbersOfAxes,
+        translate: NumbersOfAxes | None = None,
+        scale: NumbersOfAxes | None = None,
+        shear: NumbersOfAxes | None = None,
+    ) -> None:
         super().__init__()
         op = "RandomAffine"
         degrees, translate, scale, shear = ranges.keep_parameters(
@@ -118,7 +125,7 @@ class ShearGenerator(RandomGeneratorBase):
 
     fields = (("shear_x", 0), ("shear_y", 0))
 
-    def __init__(self, shear: Any) -> None:
+    def __init__(self, shear: NumbersOfAxes) -> None:
         super().__init__()
         (shear,) = ranges.keep_parameters(self, shear=shear)
         self._shear = _shears("RandomShear", shear)
@@ -152,7 +159,7 @@ class TranslateGenerator(RandomGeneratorBase):
 
     fields = (("translate_x", 0), ("translate_y", 0))
 
-    def __init__(self, translate_x: Any = None, translate_y: Any = None) -> None:
+    def __init__(self, translate_x: Numbers | None = None, translate_y: Numbers | None = None) -> None:
         super().__init__()
         translate_x, translate_y = ranges.keep_parameters(self, translate_x=translate_x, translate_y=translate_y)
         self._translate = [

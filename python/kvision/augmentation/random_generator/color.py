@@ -13,6 +13,7 @@ from kvision import _check
 from kvision.augmentation import ranges
 from kvision.augmentation.draws import Draw
 from kvision.augmentation.random_generator.base import RandomGeneratorBase, Shape
+from kvision.augmentation.ranges import Numbers
 from kvision.core.exceptions import TypeCheckError, ValueCheckError
 
 __all__ = [
@@ -63,7 +64,7 @@ class PosterizeGenerator(RandomGeneratorBase):
 
     fields = (("bits_factor", 0),)
 
-    def __init__(self, bits: Any) -> None:
+    def __init__(self, bits: Numbers) -> None:
         super().__init__()
         if not isinstance(bits, (Sequence, Tensor)):
             bits = (bits, 8)

@@ -11,6 +11,7 @@ from torch import Tensor
 from kvision.augmentation import ranges
 from kvision.augmentation.draws import Draw
 from kvision.augmentation.random_generator.base import RandomGeneratorBase, Shape
+from kvision.augmentation.ranges import Numbers
 
 __all__ = ["ColorJiggleGenerator", "ColorJitterGenerator"]
 
@@ -47,7 +48,12 @@ class ColorJitterGenerator(RandomGeneratorBase):
     hidden: Sequence[str] = ("radians",)  # hue, as kernels take it
 
     def __init__(
-        self, brightness: Any = 0.0, contrast: Any = 0.0, saturation: Any = 0.0, hue: Any = 0.0, order: Any = None
+        self,
+        brightness: Numbers = 0.0,
+        contrast: Numbers = 0.0,
+        saturation: Numbers = 0.0,
+        hue: Numbers = 0.0,
+        order: Any = None,
     ) -> None:
         super().__init__()
         op = type(self).__name__.removesuffix("Generator")

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, get_args
 
 import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._choices import ResizeSide
 from kvision._constants import constant
 from kvision.augmentation import ranges
 from kvision.augmentation.draws import Draw
 from kvision.augmentation.inputs import parse_size
 from kvision.augmentation.random_generator.base import RandomGeneratorBase, Shape
+from kvision.augmentation.ranges import Numbers
 from kvision.core.exceptions import TypeCheckError, ValueCheckError
 from kvision.geometry.transform.resize import side_to_size
 
@@ -155,7 +157,7 @@ class ResizedCropGenerator(RandomGeneratorBase):
 
     fields = (("window", 4),)  # first column, first row, width, height
 
-    def __init__(self, output_size: Any, scale: Any = (0.08, 1.0), ratio: Any = (3.0 / 4.0, 4.0 / 3.0)) -> None:
+    def __init__(self, output_size: Any, scale: Numbers = (0.08, 1.0), ratio: Numbers = (3.0 / 4.0, 4.0 / 3.0)) -> None:
         super().__init__()
         op = "RandomResizedCrop"
         self.output_size = parse_size(op, output_size)
@@ -197,10 +199,9 @@ class ResizeGenerator(RandomGeneratorBase):
         tensor([[ 8, 12]])
     """
 
-    def __init__(self, resize_to: int | tuple[int, int], side: str = "short") -> None:
+    def __init__(self, resize_to: int | tuple[int, int], side: ResizeSide = "short") -> None:
         super().__init__()
-        if side not in ("short", "long", "vert", "horz"):
-            raise ValueCheckError(f"Resize: expected side to be 'short', 'long', 'vert' or 'horz', got {side!r}")
+        _check.choice("Resize", "side", side, get_args(ResizeSide))
         sides = parse_size("Resize", resize_to)
         self.output_size = resize_to if isinstance(resize_to, int) else sides
         self.side = side

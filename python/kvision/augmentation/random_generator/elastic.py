@@ -12,6 +12,7 @@ from kvision.augmentation import ranges
 from kvision.augmentation.draws import uniform
 from kvision.augmentation.noise import PixelNoise
 from kvision.augmentation.random_generator.base import RandomGeneratorBase, Shape
+from kvision.augmentation.ranges import Numbers
 
 __all__: list[str] = []  # Kornia has no public generators of these
 
@@ -56,7 +57,7 @@ class FisheyeGenerator(RandomGeneratorBase):
 
     fields = (("center_x", 1), ("center_y", 1), ("gamma", 1))
 
-    def __init__(self, center_x: Any, center_y: Any, gamma: Any) -> None:
+    def __init__(self, center_x: Numbers, center_y: Numbers, gamma: Numbers) -> None:
         super().__init__()
         op = "RandomFisheye"
         center_x, center_y, gamma = ranges.keep_parameters(self, center_x=center_x, center_y=center_y, gamma=gamma)

@@ -13,6 +13,7 @@ from kvision.augmentation import ranges
 from kvision.augmentation.draws import Draw
 from kvision.augmentation.noise import PixelNoise
 from kvision.augmentation.random_generator.base import RandomGeneratorBase, Shape
+from kvision.augmentation.ranges import Numbers
 from kvision.core.exceptions import ShapeError
 
 __all__ = ["RectangleEraseGenerator"]
@@ -39,7 +40,7 @@ class RectangleEraseGenerator(RandomGeneratorBase):
         (tensor([4.]), tensor([4.]))
     """
 
-    def __init__(self, scale: Any = (0.02, 0.33), ratio: Any = (0.3, 3.3), value: Any = 0.0) -> None:
+    def __init__(self, scale: Numbers = (0.02, 0.33), ratio: Numbers = (0.3, 3.3), value: Any = 0.0) -> None:
         super().__init__()
         op, unbounded = "RandomErasing", (0.0, float("inf"))
         self._scale = ranges.parse(op, "scale", scale, bounds=unbounded)

@@ -14,6 +14,7 @@ from kvision.augmentation.draws import Draw
 from kvision.augmentation.keys import refuse_graphs
 from kvision.augmentation.random_generator.base import RandomGeneratorBase, Shape
 from kvision.augmentation.random_generator.plain import PlainUniformGenerator
+from kvision.augmentation.ranges import Numbers
 from kvision.core.exceptions import TypeCheckError, ValueCheckError
 
 __all__ = ["JPEGGenerator", "MotionBlurGenerator", "RandomGaussianBlurGenerator"]
@@ -37,7 +38,7 @@ class RandomGaussianBlurGenerator(PlainUniformGenerator):
         {'sigma': tensor([2., 2.])}
     """
 
-    def __init__(self, sigma: Any = (0.1, 2.0)) -> None:
+    def __init__(self, sigma: Numbers = (0.1, 2.0)) -> None:
         super().__init__((sigma, "sigma", None, (0.0, float("inf"))), identity=[1.0], op="RandomGaussianBlur")
         if self._ranges[0].tensor is None and self._ranges[0].low <= 0:
             raise ValueCheckError(f"RandomGaussianBlur: expected sigma above 0, got {sigma}")
@@ -61,10 +62,12 @@ class JPEGGenerator(PlainUniformGenerator):
         {'jpeg_quality': tensor([50., 50.])}
     """
 
-    def __init__(self, jpeg_quality: Any = 50.0) -> None:
+    def __init__(self, jpeg_quality: Numbers = 50.0) -> None:
         if isinstance(jpeg_quality, (int, float)) or (isinstance(jpeg_quality, Tensor) and jpeg_quality.dim() == 0):
-            jpeg_quality = (jpeg_quality, 100.0)
-        super().__init__((jpeg_quality, "jpeg_quality", None, (1.0, 100.0)), identity=[100.0], op="RandomJPEG")
+            quality: Any = (jpeg_quality, 100.0)
+        else:
+            quality = jpeg_quality
+        super().__init__((quality, "jpeg_quality", None, (1.0, 100.0)), identity=[100.0], op="RandomJPEG")
 
 
 class MotionBlurGenerator(RandomGeneratorBase):
@@ -89,7 +92,7 @@ class MotionBlurGenerator(RandomGeneratorBase):
 
     op = "RandomMotionBlur"
 
-    def __init__(self, kernel_size: int | tuple[int, int], angle: Any, direction: Any) -> None:
+    def __init__(self, kernel_size: int | tuple[int, int], angle: Numbers, direction: Numbers) -> None:
         super().__init__()
         op = self.op
         angle, direction = ranges.keep_parameters(self, angle=angle, direction=direction)

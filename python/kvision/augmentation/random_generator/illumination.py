@@ -12,6 +12,7 @@ from kvision._torch_compat import linspace
 from kvision.augmentation import ranges
 from kvision.augmentation.draws import integer
 from kvision.augmentation.random_generator.base import RandomGeneratorBase, Shape
+from kvision.augmentation.ranges import Numbers
 
 __all__ = ["GaussianIlluminationGenerator", "LinearCornerIlluminationGenerator", "LinearIlluminationGenerator"]
 
@@ -43,7 +44,7 @@ class GaussianIlluminationGenerator(RandomGeneratorBase):
         tensor([[[[0.0000, 0.5000, 0.0000]]]])
     """
 
-    def __init__(self, gain: Any, center: Any, sigma: Any, sign: Any) -> None:
+    def __init__(self, gain: Numbers, center: Numbers, sigma: Numbers, sign: Numbers) -> None:
         super().__init__()
         op = "RandomGaussianIllumination"
         gain, center, sigma, sign = ranges.keep_parameters(self, gain=gain, center=center, sigma=sigma, sign=sign)
@@ -89,7 +90,7 @@ class LinearIlluminationGenerator(RandomGeneratorBase):
 
     _op = "RandomLinearIllumination"
 
-    def __init__(self, gain: Any, sign: Any) -> None:
+    def __init__(self, gain: Numbers, sign: Numbers) -> None:
         super().__init__()
         gain, sign = ranges.keep_parameters(self, gain=gain, sign=sign)
         self._gain = ranges.parse(self._op, "gain", ranges.as_pair(gain), bounds=(0.0, 1.0))

@@ -14,6 +14,7 @@ from kvision.augmentation import ranges
 from kvision.augmentation.draws import Draw, uniform
 from kvision.augmentation.inputs import parse_size
 from kvision.augmentation.random_generator.base import RandomGeneratorBase, Shape
+from kvision.augmentation.ranges import Numbers
 from kvision.core.exceptions import TypeCheckError, ValueCheckError
 
 __all__ = ["CutmixGenerator", "JigsawGenerator", "MixupGenerator", "MosaicGenerator", "PatchMixGenerator"]
@@ -50,7 +51,7 @@ class MixupGenerator(RandomGeneratorBase):
         tensor([0.5000, 0.5000, 0.5000])
     """
 
-    def __init__(self, lambda_val: Any = None, p: float = 1.0) -> None:
+    def __init__(self, lambda_val: Numbers | None = None, p: float = 1.0) -> None:
         super().__init__()
         (lambda_val,) = ranges.keep_parameters(self, lambda_val=lambda_val)
         value = (0.0, 1.0) if lambda_val is None else lambda_val
@@ -86,7 +87,9 @@ class CutmixGenerator(RandomGeneratorBase):
         torch.Size([2, 3])
     """
 
-    def __init__(self, cut_size: Any = None, beta: Any = None, num_mix: int = 1, p: float = 1.0) -> None:
+    def __init__(
+        self, cut_size: Numbers | None = None, beta: float | Tensor | None = None, num_mix: int = 1, p: float = 1.0
+    ) -> None:
         super().__init__()
         op = "RandomCutMixV2"
         num_mix = _check.scalar(op, "num_mix", num_mix)

@@ -12,6 +12,7 @@ from kvision.augmentation import ranges
 from kvision.augmentation.draws import uniform
 from kvision.augmentation.noise import PixelNoise, gaussian_noise, salt_and_pepper
 from kvision.augmentation.random_generator.base import RandomGeneratorBase, Shape
+from kvision.augmentation.ranges import Numbers
 
 __all__ = ["GaussianNoiseGenerator", "SaltAndPepperGenerator"]
 
@@ -77,7 +78,7 @@ class SaltAndPepperGenerator(RandomGeneratorBase):
     fields = (("amount_factor", 0), ("salt_and_pepper_factor", 0))
     per_pixel = True
 
-    def __init__(self, amount: Any, salt_and_pepper: Any) -> None:
+    def __init__(self, amount: Numbers, salt_and_pepper: Numbers) -> None:
         super().__init__()
         self._ranges = [
             ranges.parse("RandomSaltAndPepperNoise", name, ranges.as_pair(value), bounds=(0.0, 1.0))

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Literal, TypeAlias, get_args
 
 import torch
 from torch import Tensor
 
+from kvision import _check
 from kvision.augmentation import ranges
 from kvision.augmentation.draws import Draw, uniform
 from kvision.augmentation.random_generator.base import RandomGeneratorBase, Shape
-from kvision.core.exceptions import ValueCheckError
 
 __all__ = ["PerspectiveGenerator"]
+
+SamplingMethod: TypeAlias = Literal["basic", "area_preserving"]
+_METHODS = get_args(SamplingMethod)
 
 
 class PerspectiveGenerator(RandomGeneratorBase):
@@ -42,14 +45,11 @@ class PerspectiveGenerator(RandomGeneratorBase):
 
     fields = (("end_points", 8),)
 
-    def __init__(self, distortion_scale: float | Tensor = 0.5, sampling_method: str = "basic") -> None:
+    def __init__(self, distortion_scale: float | Tensor = 0.5, sampling_method: SamplingMethod = "basic") -> None:
         super().__init__()
         op = "RandomPerspective"
         low = ranges.parse(op, "distortion_scale", [float(distortion_scale)] * 2, bounds=(0.0, 1.0)).low
-        if sampling_method not in ("basic", "area_preserving"):
-            raise ValueCheckError(
-                f"{op}: expected sampling_method to be 'basic' or 'area_preserving', got {sampling_method!r}"
-            )
+        _check.choice(op, "sampling_method", sampling_method, _METHODS)
         self.distortion_scale, self.sampling_method = low, sampling_method
 
     def draws(self, shape: Shape) -> Sequence[Draw]:

@@ -12,6 +12,7 @@ from torch import Tensor
 from kvision.augmentation.noise import PixelNoise
 from kvision.augmentation.random_generator.base import Shape
 from kvision.augmentation.random_generator.plain import PlainUniformGenerator
+from kvision.augmentation.ranges import Numbers
 from kvision.contrib.diamond_square import diamond_square
 
 
@@ -20,7 +21,7 @@ class PlasmaGenerator(PlainUniformGenerator):
 
     per_pixel = True
 
-    def __init__(self, op: str, roughness: Any, *others: Sequence[Any], one_channel: bool = False) -> None:
+    def __init__(self, op: str, roughness: Numbers, *others: Sequence[Any], one_channel: bool = False) -> None:
         super().__init__((roughness, "roughness", None, (0.0, 1.0)), *others, op=op)
         self._one_channel = one_channel
 

@@ -15,6 +15,7 @@ from kvision.augmentation import ranges
 from kvision.augmentation.draws import Draw, uniform
 from kvision.augmentation.random_generator.base import RandomGeneratorBase, Shape
 from kvision.augmentation.random_generator.filters import MotionBlurGenerator
+from kvision.augmentation.ranges import Numbers, NumbersOfAxes
 from kvision.core.exceptions import TypeCheckError, ValueCheckError
 from kvision.geometry import bbox
 
@@ -57,7 +58,13 @@ class AffineGenerator3D(RandomGeneratorBase):
 
     fields = (("translations", 3), ("scale", 3), ("angles", 3), *((name, 0) for name in _SHEARS))
 
-    def __init__(self, degrees: Any, translate: Any = None, scale: Any = None, shears: Any = None) -> None:
+    def __init__(
+        self,
+        degrees: NumbersOfAxes,
+        translate: NumbersOfAxes | None = None,
+        scale: NumbersOfAxes | None = None,
+        shears: NumbersOfAxes | None = None,
+    ) -> None:
         super().__init__()
         op = "RandomAffine3D"
         degrees, translate, scale, shears = ranges.keep_parameters(
@@ -113,7 +120,7 @@ class RotationGenerator3D(RandomGeneratorBase):
 
     fields = (("yaw", 0), ("pitch", 0), ("roll", 0))
 
-    def __init__(self, degrees: Any) -> None:
+    def __init__(self, degrees: NumbersOfAxes) -> None:
         super().__init__()
         (degrees,) = ranges.keep_parameters(self, degrees=degrees)
         self._angles = ranges.parse_each("RandomRotation3D", "degrees", degrees, 3, center=0.0, bounds=_FULL_ROTATION)
@@ -273,7 +280,7 @@ class ResizedCropGenerator3D(RandomGeneratorBase):
         tensor([3., 2., 1.])
     """
 
-    def __init__(self, output_size: Any, scale: Any = (0.08, 1.0), ratio: Any = (3.0 / 4.0, 4.0 / 3.0)) -> None:
+    def __init__(self, output_size: Any, scale: Numbers = (0.08, 1.0), ratio: Numbers = (3.0 / 4.0, 4.0 / 3.0)) -> None:
         super().__init__()
         op = "RandomResizedCrop3D"
         self.output_size = parse_size3d(op, output_size)
@@ -393,7 +400,7 @@ class MotionBlurGenerator3D(MotionBlurGenerator):
 
     op = "RandomMotionBlur3D"
 
-    def __init__(self, kernel_size: int | tuple[int, int], angle: Any, direction: Any) -> None:
+    def __init__(self, kernel_size: int | tuple[int, int], angle: NumbersOfAxes, direction: Numbers) -> None:
         super().__init__(kernel_size, 0.0, direction)
         (angle,) = ranges.keep_parameters(self, angle=angle)
         self._angles = ranges.parse_each(self.op, "angle", angle, 3, center=0.0, bounds=_FULL_ROTATION)

@@ -11,6 +11,7 @@ from kvision.augmentation import ranges
 from kvision.augmentation.draws import integer
 from kvision.augmentation.noise import PixelNoise
 from kvision.augmentation.random_generator.base import RandomGeneratorBase, Shape
+from kvision.augmentation.ranges import Numbers
 
 __all__ = ["RainGenerator"]
 
@@ -39,7 +40,7 @@ class RainGenerator(RandomGeneratorBase):
 
     per_pixel = True
 
-    def __init__(self, number_of_drops: Any, drop_height: Any, drop_width: Any) -> None:
+    def __init__(self, number_of_drops: Numbers, drop_height: Numbers, drop_width: Numbers) -> None:
         super().__init__()
         self.number_of_drops = ranges.parse_integers("RandomRain", "number_of_drops", number_of_drops, 0)
         self.drop_height = ranges.parse_integers("RandomRain", "drop_height", drop_height, 1)

@@ -56,7 +56,8 @@ def _by_operators(
         first_level, levels = octave[:, :, next_level], octave[:, 0]
         if mode != DIFFERENCES:
             level_sigmas = image.new_tensor(blurs).repeat(batch)
-            response = hessian_response(levels.reshape(-1, 1, h, w), DERIVATIVE_MODE_NAMES[mode], level_sigmas)
+            grads_mode: Any = DERIVATIVE_MODE_NAMES[mode]
+            response = hessian_response(levels.reshape(-1, 1, h, w), grads_mode, level_sigmas)
             levels = response.reshape(levels.shape)
         first_scale = image.new_full((batch,), scale, dtype=compute_dtype(image))
         options = (mode == DIFFERENCES, minima, count, levels_of_octave, *filters)

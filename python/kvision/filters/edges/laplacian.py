@@ -5,6 +5,7 @@ from __future__ import annotations
 from torch import Tensor
 
 from kvision import _check
+from kvision._choices import Border
 from kvision._dtype import pixels
 from kvision._modes import BORDER
 from kvision._modules import FunctionModule
@@ -24,7 +25,7 @@ register("laplacian_backward", transpose(_reference), gradients="grad: laplacian
 
 
 def laplacian(
-    input: Tensor, kernel_size: tuple[int, int] | int, border_type: str = "reflect", normalized: bool = True
+    input: Tensor, kernel_size: tuple[int, int] | int, border_type: Border = "reflect", normalized: bool = True
 ) -> Tensor:
     """Filter an image with ones around a center of 1 - kH * kW: the sum of every window less kH * kW times its center.
 
@@ -66,7 +67,7 @@ class Laplacian(FunctionModule):
     """
 
     def __init__(
-        self, kernel_size: tuple[int, int] | int, border_type: str = "reflect", normalized: bool = True
+        self, kernel_size: tuple[int, int] | int, border_type: Border = "reflect", normalized: bool = True
     ) -> None:
         super().__init__(kernel_size=kernel_size, border_type=border_type, normalized=normalized)
 

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._choices import DerivativeMode
 from kvision._dtype import floats
 from kvision._modes import DERIVATIVE_MODE, DERIVATIVE_MODE_NAMES
 from kvision._modules import VOLUME, FunctionModule
@@ -66,7 +67,7 @@ register(
 )
 
 
-def spatial_gradient(input: Tensor, mode: str = "sobel", order: int = 1, normalized: bool = True) -> Tensor:
+def spatial_gradient(input: Tensor, mode: DerivativeMode = "sobel", order: int = 1, normalized: bool = True) -> Tensor:
     """Derivatives of an image, with a replicated border.
 
     Args:
@@ -105,7 +106,7 @@ class SpatialGradient(FunctionModule):
         torch.Size([2, 1, 3, 8, 8])
     """
 
-    def __init__(self, mode: str = "sobel", order: int = 1, normalized: bool = True) -> None:
+    def __init__(self, mode: DerivativeMode = "sobel", order: int = 1, normalized: bool = True) -> None:
         super().__init__(mode=mode, order=order, normalized=normalized)
 
     def forward(self, input: Tensor) -> Tensor:
@@ -128,7 +129,7 @@ register(
 )
 
 
-def spatial_gradient3d(input: Tensor, mode: str = "diff", order: int = 1) -> Tensor:
+def spatial_gradient3d(input: Tensor, mode: DerivativeMode = "diff", order: int = 1) -> Tensor:
     """Derivatives of a volume by central differences, with a replicated border.
 
     Args:
@@ -168,7 +169,7 @@ class SpatialGradient3d(FunctionModule):
 
     samples = (VOLUME,)
 
-    def __init__(self, mode: str = "diff", order: int = 1) -> None:
+    def __init__(self, mode: DerivativeMode = "diff", order: int = 1) -> None:
         super().__init__(mode=mode, order=order)
 
     def forward(self, input: Tensor) -> Tensor:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Literal, TypeAlias, get_args
 
 import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._choices import Border
 from kvision._dtype import as_dtype, compute_dtype, pixels
 from kvision._modes import BORDER, BORDER_NAMES, COLOR_DISTANCE
 from kvision._modules import IMAGE, FunctionModule
@@ -16,6 +17,9 @@ from kvision._ops import register
 from kvision.core.border import windows
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 from kvision.filters.smoothing.gaussian import axis_kernels, batch_of, positive, sigma_arguments
+
+ColorDistance: TypeAlias = Literal["l1", "l2"]
+_DISTANCES = get_args(ColorDistance)
 
 
 def _reference(x: Tensor, *args: Any) -> Tensor:
@@ -106,8 +110,8 @@ def bilateral_blur(
     kernel_size: tuple[int, int] | int,
     sigma_color: Tensor | float,
     sigma_space: tuple[float, float] | Tensor | float,
-    border_type: str = "reflect",
-    color_distance_type: str = "l1",
+    border_type: Border = "reflect",
+    color_distance_type: ColorDistance = "l1",
 ) -> Tensor:
     """Blur an image with weights that fall with the distance in space and in color, which keeps edges.
 
@@ -151,8 +155,8 @@ def joint_bilateral_blur(
     kernel_size: tuple[int, int] | int,
     sigma_color: Tensor | float,
     sigma_space: tuple[float, float] | Tensor | float,
-    border_type: str = "reflect",
-    color_distance_type: str = "l1",
+    border_type: Border = "reflect",
+    color_distance_type: ColorDistance = "l1",
 ) -> Tensor:
     """Blur an image with weights that fall with the distance in space and in the colors of a second image.
 
@@ -187,8 +191,8 @@ def _checked(
     kernel_size: tuple[int, int] | int,
     sigma_color: Tensor | float,
     sigma_space: tuple[float, float] | Tensor | float,
-    border_type: str,
-    color_distance_type: str,
+    border_type: Border,
+    color_distance_type: ColorDistance,
 ) -> Tensor:
     _check.images(op, "input", input)
     if guidance is not None:
@@ -206,7 +210,7 @@ def _checked(
     space, sigma_y, sigma_x = sigma_arguments(op, "sigma_space", input, sigma_space)
     _check.border(op, border_type)
     _check.reflectable(op, input, (ky // 2, kx // 2), border_type)
-    _check.choice(op, "color_distance_type", color_distance_type, tuple(COLOR_DISTANCE))
+    _check.choice(op, "color_distance_type", color_distance_type, _DISTANCES)
     border, distance = BORDER[border_type], COLOR_DISTANCE[color_distance_type]
     return _bilateral_blur(pixels(input), guidance, color, space, ky, kx, number, sigma_y, sigma_x, border, distance)
 
@@ -233,8 +237,8 @@ class _Bilateral(FunctionModule):
         kernel_size: tuple[int, int] | int,
         sigma_color: Tensor | float,
         sigma_space: tuple[float, float] | Tensor | float,
-        border_type: str = "reflect",
-        color_distance_type: str = "l1",
+        border_type: Border = "reflect",
+        color_distance_type: ColorDistance = "l1",
     ) -> None:
         super().__init__(
             kernel_size=kernel_size,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from torch import Tensor
 
 from kvision import _check
+from kvision._choices import Border
 from kvision._dtype import pixels
 from kvision._modes import BORDER, BORDER_NAMES
 from kvision._modules import FunctionModule
@@ -31,7 +32,7 @@ register("box_blur_backward", transpose(_reference), gradients="grad: box_blur(i
 
 
 def box_blur(
-    input: Tensor, kernel_size: tuple[int, int] | int, border_type: str = "reflect", separable: bool = True
+    input: Tensor, kernel_size: tuple[int, int] | int, border_type: Border = "reflect", separable: bool = True
 ) -> Tensor:
     """Replace every pixel by the mean of its window.
 
@@ -72,7 +73,7 @@ class BoxBlur(FunctionModule):
     """
 
     def __init__(
-        self, kernel_size: tuple[int, int] | int, border_type: str = "reflect", separable: bool = True
+        self, kernel_size: tuple[int, int] | int, border_type: Border = "reflect", separable: bool = True
     ) -> None:
         super().__init__(kernel_size=kernel_size, border_type=border_type, separable=separable)
 

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._choices import Border
 from kvision._dtype import as_dtype, compute_dtype, floats, pixels
 from kvision._modes import BORDER, BORDER_NAMES
 from kvision._modules import FunctionModule
@@ -79,7 +80,7 @@ _gaussian_levels = register(
 )
 
 
-def gaussian_levels(input: Tensor, sizes: list[int], sigmas: list[float], border_type: str = "reflect") -> Tensor:
+def gaussian_levels(input: Tensor, sizes: list[int], sigmas: list[float], border_type: Border = "reflect") -> Tensor:
     """Levels (B, C, 1 + n, H, W) of an image (B, C, H, W), each blurred to the next one by sizes[i] x sizes[i] and sigmas[i]."""
     _check.images("gaussian_levels", "input", input)
     _check.border("gaussian_levels", border_type)
@@ -92,7 +93,7 @@ def gaussian_blur2d(
     input: Tensor,
     kernel_size: tuple[int, int] | int,
     sigma: tuple[float, float] | Tensor | float,
-    border_type: str = "reflect",
+    border_type: Border = "reflect",
     separable: bool = True,
 ) -> Tensor:
     """Blur an image with a Gaussian: weights exp(-d^2 / (2 sigma^2)), divided by their sum.
@@ -136,7 +137,7 @@ class GaussianBlur2d(FunctionModule):
         self,
         kernel_size: tuple[int, int] | int,
         sigma: tuple[float, float] | Tensor | float,
-        border_type: str = "reflect",
+        border_type: Border = "reflect",
         separable: bool = True,
     ) -> None:
         super().__init__(kernel_size=kernel_size, sigma=sigma, border_type=border_type, separable=separable)
@@ -150,7 +151,7 @@ def blur_arguments(
     input: Tensor,
     kernel_size: tuple[int, int] | int,
     sigma: tuple[float, float] | Tensor | float,
-    border_type: str,
+    border_type: Border,
 ) -> tuple[Tensor, Tensor | None, int, int, float, float, int]:
     """The checked arguments of a Gaussian as its operators take them: sigma as a tensor, or as two floats with None."""
     _check.images(op, "input", input)

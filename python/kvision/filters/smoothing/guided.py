@@ -7,6 +7,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from kvision import _check
+from kvision._choices import Border
 from kvision._dtype import promoted
 from kvision._modules import IMAGE, FunctionModule
 from kvision._ops import match_layout
@@ -20,7 +21,7 @@ def guided_blur(
     input: Tensor,
     kernel_size: tuple[int, int] | int,
     eps: float | Tensor,
-    border_type: str = "reflect",
+    border_type: Border = "reflect",
     subsample: int = 1,
     separable: bool = False,
 ) -> Tensor:
@@ -159,7 +160,7 @@ class GuidedBlur(FunctionModule):
         self,
         kernel_size: tuple[int, int] | int,
         eps: float | Tensor,
-        border_type: str = "reflect",
+        border_type: Border = "reflect",
         subsample: int = 1,
         separable: bool = False,
     ) -> None:

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._choices import Border
 from kvision._dtype import pixels
 from kvision._modes import BORDER, BORDER_NAMES
 from kvision._modules import FunctionModule
@@ -33,7 +34,7 @@ _median_blur = register(
 register("median_blur_backward", _backward_reference, layout_of=1)
 
 
-def median_blur(input: Tensor, kernel_size: tuple[int, int] | int, border_type: str = "reflect") -> Tensor:
+def median_blur(input: Tensor, kernel_size: tuple[int, int] | int, border_type: Border = "reflect") -> Tensor:
     """Replace every pixel by the median of its window, for an even count of pixels by the lower middle one.
 
     The gradient goes to the pixel that is the median; where several pixels of a window equal it, they share it evenly.
@@ -88,7 +89,7 @@ class MedianBlur(FunctionModule):
         torch.Size([2, 3, 8, 8])
     """
 
-    def __init__(self, kernel_size: tuple[int, int] | int, border_type: str = "reflect") -> None:
+    def __init__(self, kernel_size: tuple[int, int] | int, border_type: Border = "reflect") -> None:
         super().__init__(kernel_size=kernel_size, border_type=border_type)
 
     def forward(self, input: Tensor) -> Tensor:

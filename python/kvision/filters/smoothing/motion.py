@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._choices import Border, Interpolation, Linear
 from kvision._clamp import clamp
 from kvision._dtype import as_dtype, compute_dtype
 from kvision._modules import VOLUME, FunctionModule
@@ -20,7 +21,7 @@ from kvision.filters.filter3d import filter_volumes
 
 
 def get_motion_kernel2d(
-    kernel_size: int, angle: Tensor | float, direction: Tensor | float = 0.0, mode: str = "nearest"
+    kernel_size: int, angle: Tensor | float, direction: Tensor | float = 0.0, mode: Interpolation = "nearest"
 ) -> Tensor:
     """A line through the center, rotated by an angle, with weights that rise or fall along it.
 
@@ -55,7 +56,7 @@ def get_motion_kernel3d(
     kernel_size: int,
     angle: Tensor | tuple[float, float, float],
     direction: Tensor | float = 0.0,
-    mode: str = "nearest",
+    mode: Linear = "nearest",
 ) -> Tensor:
     """A line along x through the center of a cube, rotated in space, with weights that rise or fall along it.
 
@@ -87,8 +88,8 @@ def motion_blur(
     kernel_size: int,
     angle: Tensor | float,
     direction: Tensor | float,
-    border_type: str = "reflect",
-    mode: str = "nearest",
+    border_type: Border = "reflect",
+    mode: Interpolation = "nearest",
 ) -> Tensor:
     """Blur an image as a camera does that moves while the shutter is open.
 
@@ -123,8 +124,8 @@ def motion_blur3d(
     kernel_size: int,
     angle: Tensor | tuple[float, float, float],
     direction: Tensor | float,
-    border_type: str = "replicate",
-    mode: str = "nearest",
+    border_type: Border = "replicate",
+    mode: Linear = "nearest",
 ) -> Tensor:
     """Blur a volume along a line in space.
 
@@ -149,7 +150,7 @@ def motion_blur3d(
     return filter_volumes("motion_blur3d", input, kernel, border_type, False, "corr")
 
 
-_MODES = ("nearest", "bilinear", "bicubic")  # by the numbers of MotionTaps in csrc
+_MODES: tuple[Interpolation, ...] = ("nearest", "bilinear", "bicubic")  # by the numbers of MotionTaps in csrc
 # The taps around a position, as offsets from its whole part, and the weight of a tap at distance d from it; positions
 # are whole for 'nearest'.
 _TAPS = {"nearest": (0,), "bilinear": (0, 1), "bicubic": (-1, 0, 1, 2)}
@@ -169,14 +170,14 @@ def _motion_kernel(
     kernel_size: int,
     angle: Tensor | tuple[float, ...] | float,
     direction: Tensor | float,
-    mode: str,
+    mode: Interpolation,
     axes: int,
     image: Tensor | None = None,
 ) -> Tensor:
     """(B, kernel_size, ...): every pixel of the kernel reads its weight on the line before the line is rotated."""
     (size,) = _check.ints(op, "kernel_size", kernel_size, 1, minimum=3)
     _check.odd(op, "kernel_size", (size,))
-    _check.choice(op, "mode", mode, ("nearest", "bilinear", "bicubic") if axes == 2 else ("nearest", "bilinear"))
+    _check.choice(op, "mode", mode, _MODES if axes == 2 else _MODES[:2])
     angle, direction, dtype = _parameters(op, angle, direction, axes, image)
     angle = angle.detach() if mode == "nearest" else angle
     kernel: Tensor = _motion_kernels(angle, direction, size, _MODES.index(mode))
@@ -303,8 +304,8 @@ class MotionBlur(FunctionModule):
         kernel_size: int,
         angle: Tensor | float,
         direction: Tensor | float,
-        border_type: str = "reflect",
-        mode: str = "nearest",
+        border_type: Border = "reflect",
+        mode: Interpolation = "nearest",
     ) -> None:
         super().__init__(kernel_size=kernel_size, angle=angle, direction=direction, border_type=border_type, mode=mode)
 
@@ -328,8 +329,8 @@ class MotionBlur3D(FunctionModule):
         kernel_size: int,
         angle: Tensor | tuple[float, float, float] | float,
         direction: Tensor | float,
-        border_type: str = "replicate",
-        mode: str = "nearest",
+        border_type: Border = "replicate",
+        mode: Linear = "nearest",
     ) -> None:
         super().__init__(kernel_size=kernel_size, angle=angle, direction=direction, border_type=border_type, mode=mode)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from torch import Tensor
 
+from kvision._choices import Border
 from kvision._modules import FunctionModule
 from kvision._ops import register, transpose
 from kvision.filters.smoothing.gaussian import _reference as blur
@@ -37,7 +38,7 @@ def unsharp_mask(
     input: Tensor,
     kernel_size: tuple[int, int] | int,
     sigma: tuple[float, float] | Tensor | float,
-    border_type: str = "reflect",
+    border_type: Border = "reflect",
 ) -> Tensor:
     """Sharpen an image by adding its difference from a Gaussian blur: 2 * input - gaussian_blur2d(input).
 
@@ -75,7 +76,7 @@ class UnsharpMask(FunctionModule):
         self,
         kernel_size: tuple[int, int] | int,
         sigma: tuple[float, float] | Tensor | float,
-        border_type: str = "reflect",
+        border_type: Border = "reflect",
     ) -> None:
         super().__init__(kernel_size=kernel_size, sigma=sigma, border_type=border_type)
 

@@ -5,6 +5,8 @@ A lens maps points (*, M, 2) of the plane to points of the distorted plane, give
 
 from __future__ import annotations
 
+from typing import Literal, TypeAlias
+
 import torch
 from torch import Tensor
 
@@ -17,7 +19,8 @@ from kvision.geometry.camera.distortion import (
 )
 from kvision.geometry.conversions.series import angle_per_tangent
 
-COUNTS = {"brown_conrady": (4, 5, 8, 12), "kannala_brandt": (4,)}
+LensModel: TypeAlias = Literal["brown_conrady", "kannala_brandt"]
+COUNTS: dict[LensModel, tuple[int, ...]] = {"brown_conrady": (4, 5, 8, 12), "kannala_brandt": (4,)}
 
 
 def distorted(model: str, points: Tensor, k: Tensor) -> Tensor:

@@ -12,11 +12,18 @@ from torch import Tensor
 from kvision import _check
 from kvision.core.exceptions import ShapeError, ValueCheckError
 from kvision.geometry._intrinsics import camera_matrix_of
-from kvision.geometry.calibration._lenses import COUNTS, distorted, distorted_with_jacobians, undistorted_equidistant
+from kvision.geometry.calibration._lenses import (
+    COUNTS,
+    LensModel,
+    distorted,
+    distorted_with_jacobians,
+    undistorted_equidistant,
+)
 from kvision.geometry.homography.dlt import find_homography_dlt
 from kvision.geometry.liegroup import Se3, So3
 from kvision.geometry.liegroup.so3 import skew
 from kvision.geometry.optim import least_squares
+from kvision.geometry.optim._losses import RobustLoss
 
 __all__ = ["CameraCalibration", "calibrate_camera"]
 
@@ -93,9 +100,9 @@ def calibrate_camera(
     image_points: Tensor,
     image_size: Sequence[int],
     weights: Tensor | None = None,
-    model: str = "brown_conrady",
+    model: LensModel = "brown_conrady",
     num_coefficients: int | None = None,
-    loss: str = "linear",
+    loss: RobustLoss = "linear",
     f_scale: float = 1.0,
     max_iterations: int = 50,
 ) -> CameraCalibration:

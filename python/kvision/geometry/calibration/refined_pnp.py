@@ -10,6 +10,7 @@ from kvision.geometry.calibration.pnp import _before_camera, check_correspondenc
 from kvision.geometry.homography.dlt import find_homography_dlt
 from kvision.geometry.liegroup import Se3, So3
 from kvision.geometry.optim import ReprojectionError, least_squares
+from kvision.geometry.optim._losses import RobustLoss
 from kvision.geometry.solvers.null_vector import null_vector
 
 __all__ = ["solve_pnp"]
@@ -20,7 +21,7 @@ def solve_pnp(
     img_points: Tensor,
     intrinsics: Tensor,
     weights: Tensor | None = None,
-    loss: str = "linear",
+    loss: RobustLoss = "linear",
     f_scale: float = 1.0,
     max_iterations: int = 30,
 ) -> tuple[Se3, Tensor]:

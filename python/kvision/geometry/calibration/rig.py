@@ -12,7 +12,7 @@ from torch import Tensor
 from kvision import _check
 from kvision.core.exceptions import ShapeError
 from kvision.geometry._intrinsics import camera_matrix_of
-from kvision.geometry.calibration._lenses import distorted, distorted_with_jacobians, undistorted
+from kvision.geometry.calibration._lenses import LensModel, distorted, distorted_with_jacobians, undistorted
 from kvision.geometry.calibration.camera import (
     calibrate_camera,
     homographies_of_views,
@@ -73,7 +73,13 @@ class _RigError:
     """
 
     def __init__(
-        self, model: str, points: Tensor, pixels: Tensor, weights: Tensor, is_first: Tensor, given: dict[str, Tensor]
+        self,
+        model: LensModel,
+        points: Tensor,
+        pixels: Tensor,
+        weights: Tensor,
+        is_first: Tensor,
+        given: dict[str, Tensor],
     ) -> None:
         self.model, self.points, self.pixels, self.given = model, points, pixels, given
         self.root = torch.where(weights > 0, weights, 0).sqrt()[..., None]  # (B, M, N, 1)
@@ -93,8 +99,8 @@ class _RigError:
         return torch.where(self.root > 0, self.root * error, 0).flatten(2)
 
     def _intrinsics(self, variables: dict[str, Any]) -> tuple[Tensor, Tensor]:
-        camera, dist = (variables.get(name, self.given.get(name)) for name in ("camera", "dist"))
-        return camera, dist
+        values = {**self.given, **variables}
+        return values["camera"], values["dist"]
 
     def __call__(self, variables: dict[str, Any]) -> Tensor:
         _, p, _ = self._in_cameras(variables)
@@ -134,7 +140,7 @@ def calibrate_rig(
     image_points: Tensor,
     image_size: Sequence[int],
     weights: Tensor | None = None,
-    model: str = "brown_conrady",
+    model: LensModel = "brown_conrady",
     num_coefficients: int | None = None,
     camera_matrix: Tensor | None = None,
     dist: Tensor | None = None,
@@ -237,7 +243,7 @@ def calibrate_rig(
 
 
 def _start(
-    model: str,
+    model: LensModel,
     X: Tensor,
     pixels: Tensor,
     weights: Tensor,

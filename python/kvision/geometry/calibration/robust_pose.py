@@ -17,6 +17,7 @@ from kvision.geometry.calibration.pnp import _before_camera, check_correspondenc
 from kvision.geometry.calibration.refined_pnp import _as_se3
 from kvision.geometry.liegroup import Se3, Sim3
 from kvision.geometry.optim import ReprojectionError, least_squares
+from kvision.geometry.optim.least_squares import Gradient
 
 __all__ = ["kabsch_ransac", "solve_pnp_ransac", "umeyama_ransac"]
 
@@ -90,7 +91,7 @@ def solve_pnp_ransac(
 
     def refit(poses: Tensor, points: Tensor, last: bool) -> Any:
         reprojection, weights = ReprojectionError(img_points, intrinsics, world_points), points.to(poses.dtype)
-        gradient = "implicit" if last else "none"
+        gradient: Gradient = "implicit" if last else "none"
         fit = least_squares(reprojection, {"pose": _as_se3(poses)}, weights, max_iterations=10, gradient=gradient)
         return fit.variables["pose"]
 

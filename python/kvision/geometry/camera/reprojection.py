@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._choices import Interpolation, Padding
 from kvision._dtype import as_dtype, compute_dtype
 from kvision._limits import MAX_REACH
 from kvision.core.exceptions import ShapeError, TypeCheckError
@@ -40,8 +41,8 @@ def reproject_image(
     camera_from: RayCamera,
     camera_to: RayCamera,
     R: Tensor | None = None,
-    mode: str = "bilinear",
-    padding_mode: str = "zeros",
+    mode: Interpolation = "bilinear",
+    padding_mode: Padding = "zeros",
     antialias: bool = False,
     return_valid: Literal[False] = False,
 ) -> Tensor: ...
@@ -51,8 +52,8 @@ def reproject_image(
     camera_from: RayCamera,
     camera_to: RayCamera,
     R: Tensor | None = None,
-    mode: str = "bilinear",
-    padding_mode: str = "zeros",
+    mode: Interpolation = "bilinear",
+    padding_mode: Padding = "zeros",
     antialias: bool = False,
     return_valid: bool = False,
 ) -> Tensor | tuple[Tensor, Tensor]: ...
@@ -61,8 +62,8 @@ def reproject_image(
     camera_from: RayCamera,
     camera_to: RayCamera,
     R: Tensor | None = None,
-    mode: str = "bilinear",
-    padding_mode: str = "zeros",
+    mode: Interpolation = "bilinear",
+    padding_mode: Padding = "zeros",
     antialias: bool = False,
     return_valid: bool = False,
 ) -> Tensor | tuple[Tensor, Tensor]:
@@ -162,7 +163,9 @@ def _source_coords(
     return x, y, is_seen.reshape(-1, h, w)
 
 
-def _remap_closed(image: Tensor, x: Tensor, y: Tensor, mode: str, padding_mode: str, antialias: bool) -> Tensor:
+def _remap_closed(
+    image: Tensor, x: Tensor, y: Tensor, mode: Interpolation, padding_mode: Padding, antialias: bool
+) -> Tensor:
     """`remap` of panoramas of the whole sphere, whose columns join, and whose rows go on half a turn away beyond the poles."""
     height, width = image.shape[-2:]
     reach = MAX_REACH if antialias else 2

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal, TypeAlias, get_args
+
 import torch
 from torch import Tensor
 
@@ -18,6 +20,22 @@ from kvision.geometry.conversions.poses import (
 from kvision.geometry.conversions.rotations import quaternion_to_rotation_matrix, rotation_matrix_to_quaternion
 
 __all__ = ["ARKitQTVecs_to_ColmapQTVecs", "ColmapQTVecs_to_ARKitQTVecs", "camera_from_colmap", "camera_to_colmap"]
+
+Model: TypeAlias = Literal[
+    "SIMPLE_PINHOLE",
+    "PINHOLE",
+    "SIMPLE_RADIAL",
+    "RADIAL",
+    "OPENCV",
+    "FULL_OPENCV",
+    "SIMPLE_FISHEYE",
+    "FISHEYE",
+    "SIMPLE_RADIAL_FISHEYE",
+    "RADIAL_FISHEYE",
+    "OPENCV_FISHEYE",
+]
+FullModel: TypeAlias = Literal["OPENCV", "FULL_OPENCV", "OPENCV_FISHEYE"]
+_WITH_ALL = get_args(FullModel)
 
 
 def ARKitQTVecs_to_ColmapQTVecs(qvec: Tensor, tvec: Tensor) -> tuple[Tensor, Tensor]:
@@ -83,7 +101,7 @@ def _rotation(op: str, qvec: Tensor, tvec: Tensor) -> Tensor:
 
 # The models of COLMAP that kvision has too: the number of focal lengths, and of coefficients in OpenCV's order. Models of
 # fisheye lenses are Kannala-Brandt, others Brown-Conrady.
-_MODELS = {
+_MODELS: dict[Model, tuple[int, int]] = {
     "SIMPLE_PINHOLE": (1, 0),
     "PINHOLE": (2, 0),
     "SIMPLE_RADIAL": (1, 1),
@@ -96,10 +114,9 @@ _MODELS = {
     "RADIAL_FISHEYE": (1, 2),
     "OPENCV_FISHEYE": (2, 4),
 }
-_WITH_ALL = ("OPENCV", "FULL_OPENCV", "OPENCV_FISHEYE")
 
 
-def camera_from_colmap(params: Tensor, model: str) -> tuple[Tensor, Tensor]:
+def camera_from_colmap(params: Tensor, model: Model) -> tuple[Tensor, Tensor]:
     """Convert COLMAP's camera parameters to a camera matrix and coefficients of distortion.
 
     COLMAP's pixel coordinates begin at the edge of the first pixel, kvision's and OpenCV's at its center: principal points become
@@ -140,7 +157,7 @@ def _camera(params: Tensor, focal: int, missing: int) -> tuple[Tensor, Tensor]:
     return matrix, torch.nn.functional.pad(params[..., focal + 2 :], (0, missing))
 
 
-def camera_to_colmap(camera_matrix: Tensor, coefficients: Tensor, model: str = "OPENCV") -> Tensor:
+def camera_to_colmap(camera_matrix: Tensor, coefficients: Tensor, model: FullModel = "OPENCV") -> Tensor:
     """Convert camera matrices and coefficients of distortion to COLMAP's parameters: back from :func:`camera_from_colmap`.
 
     Args:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Literal, TypeAlias, get_args
 
 import torch
 from torch import Tensor
@@ -16,14 +16,29 @@ from kvision.geometry.conversions.pixels import filled
 
 __all__ = ["convert_boxes", "convert_keypoints"]
 
+BoxFormat: TypeAlias = Literal[
+    "xyxy",
+    "xywh",
+    "cxcywh",
+    "xyxy_plus",
+    "normalized_xyxy",
+    "normalized_xywh",
+    "normalized_cxcywh",
+    "cxcywhr",
+    "xywhr",
+    "xyxyxyxy",
+]
+_BOXES = get_args(BoxFormat)
+PointFormat: TypeAlias = Literal["centers", "edges", "normalized_edges"]
+_POINTS = get_args(PointFormat)
 _NORMALIZED = "normalized_"
 _CORNERS = ("xyxy", "xywh", "cxcywh")
 _ROTATED = {"cxcywhr": 5, "xywhr": 5, "xyxyxyxy": 8}  # and how many numbers a box has
-_BOXES = (*_CORNERS, "xyxy_plus", *(_NORMALIZED + mode for mode in _CORNERS), *_ROTATED)
-_POINTS = ("centers", "edges", "normalized_edges")
 
 
-def convert_boxes(boxes: Tensor, in_mode: str, out_mode: str, image_size: tuple[int, int] | None = None) -> Tensor:
+def convert_boxes(
+    boxes: Tensor, in_mode: BoxFormat, out_mode: BoxFormat, image_size: tuple[int, int] | None = None
+) -> Tensor:
     """Convert boxes from one of the formats of data sets and libraries to another.
 
     The modes, x before y, where all of an image is a box of width W and height H:
@@ -126,7 +141,7 @@ def _rotated_boxes(boxes: Tensor, in_mode: str, out_mode: str, size: Sequence[in
 
 
 def convert_keypoints(
-    keypoints: Tensor, in_mode: str, out_mode: str, image_size: tuple[int, int] | None = None
+    keypoints: Tensor, in_mode: PointFormat, out_mode: PointFormat, image_size: tuple[int, int] | None = None
 ) -> Tensor:
     """Convert key points between coordinates that begin at the first pixel's center and such that begin at its edge.
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal, TypeAlias
+
 import torch
 from torch import Tensor
 
@@ -11,8 +13,9 @@ from kvision.geometry.conversions.rotations import quaternion_to_rotation_matrix
 
 __all__ = ["matrix4x4_to_pose_vector", "pose_vector_to_matrix4x4"]
 
+Order: TypeAlias = Literal["t_xyzw", "xyzw_t", "wxyz_t", "t_wxyz"]
 # Where a pose has w, x, y, z, and where the translation.
-_ORDERS = {
+_ORDERS: dict[Order, tuple[tuple[int, ...], tuple[int, ...]]] = {
     "t_xyzw": ((6, 3, 4, 5), (0, 1, 2)),
     "xyzw_t": ((3, 0, 1, 2), (4, 5, 6)),
     "wxyz_t": ((0, 1, 2, 3), (4, 5, 6)),
@@ -20,7 +23,7 @@ _ORDERS = {
 }
 
 
-def pose_vector_to_matrix4x4(pose: Tensor, order: str) -> Tensor:
+def pose_vector_to_matrix4x4(pose: Tensor, order: Order) -> Tensor:
     """Convert poses as a quaternion and a translation in one vector to matrices.
 
     The direction, camera to world or world to camera, stays; :func:`inverse_transformation` turns it.
@@ -53,7 +56,7 @@ def pose_vector_to_matrix4x4(pose: Tensor, order: str) -> Tensor:
     return Rt_to_matrix4x4(R, torch.stack(t, -1)[..., None])
 
 
-def matrix4x4_to_pose_vector(extrinsics: Tensor, order: str) -> Tensor:
+def matrix4x4_to_pose_vector(extrinsics: Tensor, order: Order) -> Tensor:
     """Convert pose matrices to a quaternion and a translation in one vector: back from :func:`pose_vector_to_matrix4x4`.
 
     Args:

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._choices import Distance
 from kvision._dtype import compute_dtype, floats
 from kvision._modes import INTERPOLATION, PADDING, PHOTOMETRIC_DISTANCE, PHOTOMETRIC_DISTANCE_NAMES
 from kvision._ops import register
@@ -121,7 +122,7 @@ def photometric_depth_loss(
     target: Tensor,
     depth: Tensor,
     projections: Tensor,
-    distance: str = "l1",
+    distance: Distance = "l1",
     eps: float = 1e-3,
 ) -> Tensor:
     """The mean distance of a target from views warped onto it by its depth, with gradients, in one pass over all.

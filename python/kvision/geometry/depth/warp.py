@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, get_args
 
 import torch
 from torch import Tensor, nn
 
 from kvision import _check
+from kvision._choices import Linear, Padding
 from kvision._dtype import as_dtype, compute_dtype, floats
 from kvision._modes import INTERPOLATION, INTERPOLATION_NAMES, PADDING, PADDING_NAMES
 from kvision._ops import on_cuda, register
@@ -22,8 +23,7 @@ from kvision.geometry.transform.nearest import as_values, of_values
 
 __all__ = ["DepthWarper", "depth_warp", "warp_frame_depth"]
 
-_MODES = ("bilinear", "nearest")
-_PADDINGS = ("zeros", "border", "reflection")
+_MODES, _PADDINGS = get_args(Linear), get_args(Padding)
 
 # --- the definition -------------------------------------------------------------------------------------------------
 
@@ -164,7 +164,9 @@ register(
 # --- functions ------------------------------------------------------------------------------------------------------
 
 
-def _warped(op: str, image: Tensor, depth: Tensor, projection: Tensor, mode: str, padding: str, align: bool) -> Tensor:
+def _warped(
+    op: str, image: Tensor, depth: Tensor, projection: Tensor, mode: Linear, padding: str, align: bool
+) -> Tensor:
     """Warp `image` (B, C, H, W) by `depth` (B, 1, h, w) and `projection` (B, 3, 4). Batches of 1 broadcast."""
     source, image = image, floats(as_values(image, mode))
     batch = max(image.shape[0], depth.shape[0], projection.shape[0]) if image.shape[0] else 0
@@ -279,8 +281,8 @@ class DepthWarper(nn.Module):
         pinhole_dst: PinholeCamera,
         height: int,
         width: int,
-        mode: str = "bilinear",
-        padding_mode: str = "zeros",
+        mode: Linear = "bilinear",
+        padding_mode: Padding = "zeros",
         align_corners: bool = True,
     ) -> None:
         super().__init__()

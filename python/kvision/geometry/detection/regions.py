@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal, TypeAlias, get_args
+
 import torch
 from torch import Tensor
 
@@ -13,10 +15,20 @@ from kvision.geometry.conversions.labels import convert_boxes
 
 __all__ = ["box_area", "clip_boxes_to_image", "masks_to_boxes", "remove_small_boxes"]
 
-_FORMATS = {"xyxy": 4, "xywh": 4, "cxcywh": 4, "cxcywhr": 5, "xywhr": 5, "xyxyxyxy": 8}  # and numbers of a box
+BoxFormat: TypeAlias = Literal["xyxy", "xywh", "cxcywh", "cxcywhr", "xywhr", "xyxyxyxy"]
+MaskBoxMode: TypeAlias = Literal["xyxy_plus", "xyxy", "xywh", "cxcywh"]
+_MODES = get_args(MaskBoxMode)
+_FORMATS: dict[BoxFormat, int] = {
+    "xyxy": 4,
+    "xywh": 4,
+    "cxcywh": 4,
+    "cxcywhr": 5,
+    "xywhr": 5,
+    "xyxyxyxy": 8,
+}  # and numbers of a box
 
 
-def box_area(boxes: Tensor, fmt: str = "xyxy") -> Tensor:
+def box_area(boxes: Tensor, fmt: BoxFormat = "xyxy") -> Tensor:
     """Compute the areas of boxes by their edges: a box of pixels 0 to 9 along each axis is (0, 0, 10, 10) and has 100.
 
     Args:
@@ -42,7 +54,7 @@ def box_area(boxes: Tensor, fmt: str = "xyxy") -> Tensor:
 
 
 @with_kernel_casts
-def _area(boxes: Tensor, fmt: str) -> Tensor:
+def _area(boxes: Tensor, fmt: BoxFormat) -> Tensor:
     if fmt == "xyxyxyxy":
         a, b, c, d = boxes.unflatten(-1, (4, 2)).unbind(-2)
         x, y = c - a, d - b  # the diagonals
@@ -101,7 +113,7 @@ def remove_small_boxes(boxes: Tensor, min_size: float) -> Tensor:
     return (boxes[:, 2:] - boxes[:, :2] >= least).all(-1).nonzero()[:, 0]
 
 
-def masks_to_boxes(masks: Tensor, mode: str = "xyxy_plus") -> Tensor:
+def masks_to_boxes(masks: Tensor, mode: MaskBoxMode = "xyxy_plus") -> Tensor:
     """Find the boxes around masks, on the device.
 
     Args:
@@ -125,7 +137,7 @@ def masks_to_boxes(masks: Tensor, mode: str = "xyxy_plus") -> Tensor:
     """
     op = "masks_to_boxes"
     _check.trailing_shape(op, "masks", masks, "H", "W")
-    _check.choice(op, "mode", mode, ("xyxy_plus", "xyxy", "xywh", "cxcywh"))
+    _check.choice(op, "mode", mode, _MODES)
     if 0 in masks.shape[-2:]:
         raise ShapeError(f"{op}: expected masks with H, W of at least 1, got {tuple(masks.shape)}")
     inside = masks.detach() != 0

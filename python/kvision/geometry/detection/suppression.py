@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from typing import Literal, TypeAlias, get_args
+
 import torch
 from torch import Tensor
 
 from kvision import _check
-from kvision._modes import BOX_DECAY, BOX_DECAY_NAMES
+from kvision._modes import BOX_DECAY
 from kvision._ops import register
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 
 __all__ = ["batched_nms", "nms", "nms_mask", "soft_nms"]
+
+Decay: TypeAlias = Literal["linear", "gaussian"]
+_DECAYS = get_args(Decay)
 
 
 def _overlap(a: Tensor, b: Tensor) -> Tensor:
@@ -180,7 +185,7 @@ def soft_nms(
     iou_threshold: float = 0.3,
     sigma: float = 0.5,
     min_score: float = 1e-3,
-    method: str = "linear",
+    method: Decay = "linear",
     idxs: Tensor | None = None,
 ) -> tuple[Tensor, Tensor]:
     """Soft non-maximum suppression: scores of boxes decay with their overlap with each better box.
@@ -220,7 +225,7 @@ def soft_nms(
     width = _check.number(op, "sigma", sigma)
     if not width > 0:
         raise ValueCheckError(f"{op}: expected sigma above 0, got {sigma}", actual_value=sigma)
-    _check.choice(op, "method", method, BOX_DECAY_NAMES)
+    _check.choice(op, "method", method, _DECAYS)
     edges = _as_edges(boxes[None])
     values = scores.detach().reshape(1, -1).to(edges.dtype)
     order, decayed = _soft_suppress(edges, values, labels, threshold, width, lowest, BOX_DECAY[method])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Literal, TypeAlias, get_args
 
 import torch
 from torch import Tensor
@@ -27,9 +28,14 @@ __all__ = [
     "get_perpendicular",
 ]
 
+Method: TypeAlias = Literal["8POINT", "7POINT"]
+_METHODS = get_args(Method)
+
 
 @in_full_precision
-def find_fundamental(points1: Tensor, points2: Tensor, weights: Tensor | None = None, method: str = "8POINT") -> Tensor:
+def find_fundamental(
+    points1: Tensor, points2: Tensor, weights: Tensor | None = None, method: Method = "8POINT"
+) -> Tensor:
     """Estimate fundamental matrices from correspondences.
 
     Args:
@@ -60,7 +66,7 @@ def find_fundamental(points1: Tensor, points2: Tensor, weights: Tensor | None = 
         tensor(True)
     """
     op = "find_fundamental"
-    _check.choice(op, "method", method, ("8POINT", "7POINT"))
+    _check.choice(op, "method", method, _METHODS)
     weights = check_correspondences(op, points1, points2, weights, min_points=8 if method == "8POINT" else 7)
     if method == "7POINT":
         if points1.shape[1] != 7:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Literal, TypeAlias, get_args
 
 import torch
 from torch import Tensor
@@ -17,10 +18,13 @@ from kvision.geometry.solvers.null_vector import null_vector
 
 __all__ = ["triangulate_points"]
 
+Solver: TypeAlias = Literal["eigh", "svd", "cofactor"]
+_SOLVERS = get_args(Solver)
+
 
 @in_full_precision
 def triangulate_points(
-    P1: Tensor, P2: Tensor, points1: Tensor, points2: Tensor, solver: str = "eigh", homogeneous: bool = False
+    P1: Tensor, P2: Tensor, points1: Tensor, points2: Tensor, solver: Solver = "eigh", homogeneous: bool = False
 ) -> Tensor:
     """Triangulate points from their projections in two images, by direct linear transformation (DLT).
 
@@ -61,7 +65,7 @@ def triangulate_points(
     for name, x in (("points1", points1), ("points2", points2)):
         _check.floating_trailing_shape(op, name, x, "N", 2)
     _check.same_device(op, P1=P1, P2=P2, points1=points1, points2=points2)
-    _check.choice(op, "solver", solver, ("eigh", "svd", "cofactor"), _check.UnknownChoiceError)
+    _check.choice(op, "solver", solver, _SOLVERS, _check.UnknownChoiceError)
     _check.flag(op, "homogeneous", homogeneous)
     try:
         leading = broadcast_shapes(P1.shape[:-2], P2.shape[:-2], points1.shape[:-2], points2.shape[:-2])

@@ -8,6 +8,8 @@ Geometry" (2003), section 4.1.
 
 from __future__ import annotations
 
+from typing import Literal, TypeAlias, get_args
+
 import torch
 from torch import Tensor
 
@@ -26,9 +28,14 @@ __all__ = [
     "find_homography_lines_dlt_iterated",
 ]
 
+Solver: TypeAlias = Literal["lu", "svd"]
+_SOLVERS = get_args(Solver)
+
 
 @in_full_precision
-def find_homography_dlt(points1: Tensor, points2: Tensor, weights: Tensor | None = None, solver: str = "lu") -> Tensor:
+def find_homography_dlt(
+    points1: Tensor, points2: Tensor, weights: Tensor | None = None, solver: Solver = "lu"
+) -> Tensor:
     """Estimate homographies from point correspondences, by direct linear transformation (DLT).
 
     Args:
@@ -56,7 +63,7 @@ def find_homography_dlt(points1: Tensor, points2: Tensor, weights: Tensor | None
                  [0., 0., 1.]]])
     """
     weights = check_correspondences("find_homography_dlt", points1, points2, weights, min_points=4)
-    _check.choice("find_homography_dlt", "solver", solver, ("lu", "svd"), _check.UnknownChoiceError)
+    _check.choice("find_homography_dlt", "solver", solver, _SOLVERS, _check.UnknownChoiceError)
     return homography_of(points1, points2, weights)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Literal, TypeAlias
 
 import torch
 from torch import Tensor
@@ -10,6 +11,7 @@ from torch import Tensor
 from kvision import _check
 from kvision.core.exceptions import ValueCheckError
 
+RobustLoss: TypeAlias = Literal["linear", "huber", "soft_l1", "cauchy", "arctan", "geman_mcclure", "welsch", "tukey"]
 Loss = Callable[[Tensor], Tensor]
 
 
@@ -21,7 +23,7 @@ def _tukey(s: Tensor) -> Tensor:
     return (1 - (1 - s).clamp(min=0) ** 3) / 3
 
 
-LOSSES: dict[str, Loss] = {
+LOSSES: dict[RobustLoss, Loss] = {
     "linear": lambda s: s,
     "huber": _huber,
     "soft_l1": lambda s: 2 * ((1 + s).sqrt() - 1),
@@ -33,7 +35,7 @@ LOSSES: dict[str, Loss] = {
 }
 
 
-def loss_of(op: str, loss: str | Loss, scale: float) -> Loss | None:
+def loss_of(op: str, loss: RobustLoss | Loss, scale: float) -> Loss | None:
     """The kernel C^2 rho(s / C^2) of a name or function; None for the squared norm itself."""
     scale = _check.number(op, "f_scale", scale)
     if not scale > 0:

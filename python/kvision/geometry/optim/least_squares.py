@@ -4,21 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal, TypeAlias, get_args
 
 import torch
 from torch import Tensor
 
 from kvision import _check
 from kvision.geometry.optim._derivatives import Problem, Residuals, WithJacobian
-from kvision.geometry.optim._losses import Loss, loss_of
+from kvision.geometry.optim._losses import Loss, RobustLoss, loss_of
 from kvision.geometry.optim._normal_equations import Assembly
 from kvision.geometry.optim._variables import Layout, Variables, chosen, detached, one_of, tensors_of, value_like
 
 __all__ = ["LeastSquaresResult", "least_squares"]
 
-_METHODS = ("levenberg-marquardt", "gauss-newton")
-_GRADIENTS = ("implicit", "unrolled", "none")
+Method: TypeAlias = Literal["levenberg-marquardt", "gauss-newton"]
+_METHODS = get_args(Method)
+Gradient: TypeAlias = Literal["implicit", "unrolled", "none"]
+_GRADIENTS = get_args(Gradient)
 _FIRST_DAMPING = 1e-3
 _GROWTH = 4.0  # of the damping when a step fails, and of this factor
 
@@ -72,17 +74,17 @@ def least_squares(
     residuals: Residuals,
     variables: Mapping[str, Any],
     weights: Tensor | None = None,
-    loss: str | Loss = "linear",
+    loss: RobustLoss | Loss = "linear",
     f_scale: float = 1.0,
     index: Mapping[str, Tensor] | None = None,
     eliminate: str | None = None,
     jacobian: WithJacobian | None = None,
-    method: str = "levenberg-marquardt",
+    method: Method = "levenberg-marquardt",
     max_iterations: int = 50,
     ftol: float = 1e-8,
     xtol: float = 1e-8,
     gtol: float = 1e-8,
-    gradient: str = "implicit",
+    gradient: Gradient = "implicit",
 ) -> LeastSquaresResult:
     """Minimize 1/2 the sum of weight * rho(|r|^2) over blocks r of residuals, for a batch of independent problems.
 

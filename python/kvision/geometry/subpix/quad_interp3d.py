@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal, TypeAlias, get_args
 
 import torch
 from torch import Tensor
@@ -23,8 +23,9 @@ __all__ = [
     "iterative_quad_interp3d",
 ]
 
+Mode: TypeAlias = Literal["patch", "conv", "auto"]
+_MODES = get_args(Mode)
 ANYWHERE = 2**31 - 1  # an unlimited search radius
-_MODES = ("patch", "conv", "auto")
 
 # --- the definition -------------------------------------------------------------------------------------------------
 
@@ -367,7 +368,7 @@ class AdaptiveQuadInterp3d(FunctionModule):
 
     def __init__(
         self,
-        mode: str = "auto",
+        mode: Mode = "auto",
         n_iters: int = 5,
         strict_maxima_bonus: float | None = None,
         max_subpixel_shift: float = 0.6,

@@ -10,6 +10,7 @@ from torch import Tensor
 from torch.compiler import is_compiling
 
 from kvision import _check
+from kvision._choices import Interpolation, PaddingOrFill
 from kvision._dtype import compute_dtype
 from kvision._modes import INTERPOLATION, WARP_FORMULA
 from kvision._modules import FunctionModule
@@ -22,7 +23,11 @@ __all__ = ["Affine", "Rotate", "Scale", "Shear", "Translate", "affine", "rotate"
 
 
 def affine(
-    tensor: Tensor, matrix: Tensor, mode: str = "bilinear", padding_mode: str = "zeros", align_corners: bool = True
+    tensor: Tensor,
+    matrix: Tensor,
+    mode: Interpolation = "bilinear",
+    padding_mode: PaddingOrFill = "zeros",
+    align_corners: bool = True,
 ) -> Tensor:
     """Warp images by affine maps, keeping their size.
 
@@ -62,8 +67,8 @@ def rotate(
     tensor: Tensor,
     angle: Tensor | float,
     center: Tensor | Sequence[float] | None = None,
-    mode: str = "bilinear",
-    padding_mode: str = "zeros",
+    mode: Interpolation = "bilinear",
+    padding_mode: PaddingOrFill = "zeros",
     align_corners: bool = True,
     antialias: bool = False,
 ) -> Tensor:
@@ -117,8 +122,8 @@ def rotate(
 def translate(
     tensor: Tensor,
     translation: Tensor | Sequence[float],
-    mode: str = "bilinear",
-    padding_mode: str = "zeros",
+    mode: Interpolation = "bilinear",
+    padding_mode: PaddingOrFill = "zeros",
     align_corners: bool = True,
 ) -> Tensor:
     """Translate images by pixels, keeping their size.
@@ -156,8 +161,8 @@ def scale(
     tensor: Tensor,
     scale_factor: Tensor | Sequence[float] | float,
     center: Tensor | Sequence[float] | None = None,
-    mode: str = "bilinear",
-    padding_mode: str = "zeros",
+    mode: Interpolation = "bilinear",
+    padding_mode: PaddingOrFill = "zeros",
     align_corners: bool = True,
     antialias: bool = False,
 ) -> Tensor:
@@ -206,8 +211,8 @@ def scale(
 def shear(
     tensor: Tensor,
     shear: Tensor | Sequence[float],
-    mode: str = "bilinear",
-    padding_mode: str = "zeros",
+    mode: Interpolation = "bilinear",
+    padding_mode: PaddingOrFill = "zeros",
     align_corners: bool = False,
 ) -> Tensor:
     """Shear images about the center of their first pixel: (x, y) goes to (x + shear_x * y, y + shear_y * x).
@@ -327,8 +332,8 @@ class Rotate(FunctionModule):
         self,
         angle: Tensor | float,
         center: Tensor | Sequence[float] | None = None,
-        mode: str = "bilinear",
-        padding_mode: str = "zeros",
+        mode: Interpolation = "bilinear",
+        padding_mode: PaddingOrFill = "zeros",
         align_corners: bool = True,
         antialias: bool = False,
     ) -> None:
@@ -358,8 +363,8 @@ class Translate(FunctionModule):
     def __init__(
         self,
         translation: Tensor | Sequence[float],
-        mode: str = "bilinear",
-        padding_mode: str = "zeros",
+        mode: Interpolation = "bilinear",
+        padding_mode: PaddingOrFill = "zeros",
         align_corners: bool = True,
     ) -> None:
         translation = _tensor("Translate", "translation", translation, 2)
@@ -382,8 +387,8 @@ class Scale(FunctionModule):
         self,
         scale_factor: Tensor | Sequence[float] | float,
         center: Tensor | Sequence[float] | None = None,
-        mode: str = "bilinear",
-        padding_mode: str = "zeros",
+        mode: Interpolation = "bilinear",
+        padding_mode: PaddingOrFill = "zeros",
         align_corners: bool = True,
         antialias: bool = False,
     ) -> None:
@@ -415,8 +420,8 @@ class Shear(FunctionModule):
     def __init__(
         self,
         shear: Tensor | Sequence[float],
-        mode: str = "bilinear",
-        padding_mode: str = "zeros",
+        mode: Interpolation = "bilinear",
+        padding_mode: PaddingOrFill = "zeros",
         align_corners: bool = True,
     ) -> None:
         shear = _tensor("Shear", "shear", shear, 2)
@@ -455,8 +460,8 @@ class Affine(FunctionModule):
         scale_factor: Tensor | None = None,
         shear: Tensor | None = None,
         center: Tensor | None = None,
-        mode: str = "bilinear",
-        padding_mode: str = "zeros",
+        mode: Interpolation = "bilinear",
+        padding_mode: PaddingOrFill = "zeros",
         align_corners: bool = True,
     ) -> None:
         parts = [x for x in (angle, translation, scale_factor, shear) if x is not None]

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import math
+from typing import Any, Literal, TypeAlias, get_args
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
 from kvision import _check
+from kvision._choices import CroppingMode, Interpolation, PaddingOrFill, ResizeInterpolation
 from kvision._modes import INTERPOLATION, WARP_FORMULA
 from kvision._modules import FunctionModule
 from kvision._ops import register
 from kvision._torch_compat import in_function_transform, without_transforms
+from kvision.constants import AnyResample, Resample
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 from kvision.geometry._formula import batch_of, register_formula
 from kvision.geometry.transform import sampling
@@ -21,7 +24,7 @@ from kvision.geometry.transform.lists.arguments import check_list, like_batch, r
 from kvision.geometry.transform.lists.warp_list import warped
 from kvision.geometry.transform.matrices import crop_matrix
 from kvision.geometry.transform.nearest import as_values, of_values
-from kvision.geometry.transform.resize import resize
+from kvision.geometry.transform.resize import INTERPOLATIONS, resize
 from kvision.geometry.transform.warp import warp_affine, warp_perspective
 
 __all__ = [
@@ -32,6 +35,10 @@ __all__ = [
     "crop_by_indices",
     "crop_by_transform_mat",
 ]
+
+ShapeCompensation: TypeAlias = Literal["resize", "pad"]
+_COMPENSATIONS = get_args(ShapeCompensation)
+_CROPPING_MODES = get_args(CroppingMode)
 
 
 def _crop_box_checks_reference(quads, others):
@@ -66,8 +73,8 @@ def crop_and_resize(
     input_tensor: Tensor | list[Tensor],
     boxes: Tensor,
     size: tuple[int, int],
-    mode: str = "bilinear",
-    padding_mode: str = "zeros",
+    mode: Interpolation = "bilinear",
+    padding_mode: PaddingOrFill = "zeros",
     align_corners: bool = True,
     box_indices: Tensor | None = None,
     antialias: bool = False,
@@ -119,8 +126,8 @@ def crop_by_boxes(
     input_tensor: Tensor,
     src_box: Tensor,
     dst_box: Tensor,
-    mode: str = "bilinear",
-    padding_mode: str = "zeros",
+    mode: Interpolation = "bilinear",
+    padding_mode: PaddingOrFill = "zeros",
     align_corners: bool = True,
     validate_boxes: bool = True,
 ) -> Tensor:
@@ -237,8 +244,8 @@ def crop_by_transform_mat(
     input_tensor: Tensor,
     transform: Tensor,
     out_size: tuple[int, int],
-    mode: str = "bilinear",
-    padding_mode: str = "zeros",
+    mode: Interpolation = "bilinear",
+    padding_mode: PaddingOrFill = "zeros",
     align_corners: bool = True,
 ) -> Tensor:
     """Warp images and keep the first rows and columns of the result.
@@ -285,8 +292,8 @@ def crop_by_transform_mat(
 def center_crop(
     input_tensor: Tensor | list[Tensor],
     size: tuple[int, int],
-    mode: str = "bilinear",
-    padding_mode: str = "zeros",
+    mode: Interpolation = "bilinear",
+    padding_mode: PaddingOrFill = "zeros",
     align_corners: bool = True,
 ) -> Tensor:
     """Crop images around their center.
@@ -350,10 +357,10 @@ def crop_by_indices(
     input_tensor: Tensor,
     src_box: Tensor,
     size: tuple[int, int] | None = None,
-    interpolation: str = "bilinear",
+    interpolation: ResizeInterpolation = "bilinear",
     align_corners: bool | None = None,
     antialias: bool = False,
-    shape_compensation: str = "resize",
+    shape_compensation: ShapeCompensation = "resize",
 ) -> Tensor:
     """Crop rectangles of whole pixels.
 
@@ -387,7 +394,8 @@ def crop_by_indices(
     op = "crop_by_indices"
     _check.images(op, "input_tensor", input_tensor)
     _check.shape(op, "src_box", src_box, len(input_tensor), 4, 2)
-    _check.choice(op, "shape_compensation", shape_compensation, ("resize", "pad"))
+    _check.choice(op, "shape_compensation", shape_compensation, _COMPENSATIONS)
+    _check.choice(op, "interpolation", interpolation, INTERPOLATIONS)
     boxes = src_box.long()
     corners = rows(torch.cat([boxes[:, 0], boxes[:, 2] + 1], -1))
     if without_transforms(src_box) is not src_box:
@@ -458,16 +466,17 @@ class CenterCrop2D(FunctionModule):
         self,
         size: int | tuple[int, int],
         align_corners: bool = True,
-        resample: str = "BILINEAR",
-        cropping_mode: str = "slice",
+        resample: AnyResample = "BILINEAR",
+        cropping_mode: CroppingMode = "slice",
     ) -> None:
-        _check.choice("CenterCrop2D", "cropping_mode", cropping_mode, ("slice", "resample"))
+        _check.choice("CenterCrop2D", "cropping_mode", cropping_mode, _CROPPING_MODES)
+        Resample.get(resample)
         size = _check.pair("CenterCrop2D", "size", size, maximum=_check.LARGEST_INT)
         super().__init__(size=size, align_corners=align_corners, resample=resample, cropping_mode=cropping_mode)
 
     def forward(self, input: Tensor) -> Tensor:
         if self.cropping_mode == "resample":
-            mode = getattr(self.resample, "name", self.resample).lower()
+            mode: Any = Resample.get(self.resample).name.lower()
             return center_crop(input, self.size, mode, "zeros", self.align_corners)
         _check.images("CenterCrop2D", "input", input)
         (h, w), (height, width) = self.size, input.shape[2:]

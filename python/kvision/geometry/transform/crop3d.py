@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._choices import Linear, Padding
 from kvision.core.exceptions import ShapeError, ValueCheckError
 from kvision.geometry.bbox import corners
 from kvision.geometry.transform import sampling
@@ -19,7 +20,7 @@ def crop_and_resize3d(
     tensor: Tensor,
     boxes: Tensor,
     size: tuple[int, int, int],
-    interpolation: str = "bilinear",
+    interpolation: Linear = "bilinear",
     align_corners: bool = False,
 ) -> Tensor:
     """Resample a box of each volume to a size; its corners go to the corner voxels of the result.
@@ -55,7 +56,7 @@ def crop_and_resize3d(
 
 
 def crop_by_boxes3d(
-    tensor: Tensor, src_box: Tensor, dst_box: Tensor, interpolation: str = "bilinear", align_corners: bool = False
+    tensor: Tensor, src_box: Tensor, dst_box: Tensor, interpolation: Linear = "bilinear", align_corners: bool = False
 ) -> Tensor:
     """Resample one box of each volume into another box of the result, which has the size of that box.
 
@@ -98,8 +99,8 @@ def crop_by_transform_mat3d(
     tensor: Tensor,
     transform: Tensor,
     out_size: tuple[int, int, int],
-    mode: str = "bilinear",
-    padding_mode: str = "zeros",
+    mode: Linear = "bilinear",
+    padding_mode: Padding = "zeros",
     align_corners: bool = True,
 ) -> Tensor:
     """Warp volumes and keep the first voxels of the result.
@@ -140,7 +141,7 @@ def crop_by_transform_mat3d(
 
 
 def center_crop3d(
-    tensor: Tensor, size: tuple[int, int, int], interpolation: str = "bilinear", align_corners: bool = True
+    tensor: Tensor, size: tuple[int, int, int], interpolation: Linear = "bilinear", align_corners: bool = True
 ) -> Tensor:
     """Crop volumes around their center.
 

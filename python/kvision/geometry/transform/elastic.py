@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._choices import Interpolation, PaddingOrFill
 from kvision._dtype import compute_dtype
 from kvision._modes import INTERPOLATION
 from kvision.core.exceptions import ShapeError, TypeCheckError
@@ -26,8 +27,8 @@ def elastic_transform2d(
     sigma: tuple[float, float] | Tensor = (32.0, 32.0),
     alpha: tuple[float, float] | Tensor = (1.0, 1.0),
     align_corners: bool = False,
-    mode: str = "bilinear",
-    padding_mode: str = "zeros",
+    mode: Interpolation = "bilinear",
+    padding_mode: PaddingOrFill = "zeros",
 ) -> Tensor:
     """Deform images by a smooth random displacement field: noise after a Gaussian blur.
 

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from kvision import _check
+from kvision._choices import Interpolation, Padding
 from kvision.geometry.transform.warp import homography_warp
 
 __all__ = ["BaseWarper", "HomographyWarper"]
@@ -61,8 +62,8 @@ class HomographyWarper(BaseWarper):
         self,
         height: int,
         width: int,
-        mode: str = "bilinear",
-        padding_mode: str = "zeros",
+        mode: Interpolation = "bilinear",
+        padding_mode: Padding = "zeros",
         normalized_coordinates: bool = True,
         align_corners: bool = False,
     ) -> None:

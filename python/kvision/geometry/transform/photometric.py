@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, get_args
 
 import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._choices import Distance
 from kvision._dtype import floats
 from kvision._modes import INTERPOLATION, PADDING, PHOTOMETRIC_DISTANCE
 from kvision._ops import linearize, register
@@ -16,7 +17,7 @@ from kvision.geometry.transform import sampling
 
 __all__ = ["photometric_homography_loss", "photometric_normal_equations"]
 
-_DISTANCES = ("l1", "l2", "charbonnier")
+_DISTANCES = get_args(Distance)
 
 
 def _loss(source, target, matrix, distance, eps, align_corners, normalized):
@@ -152,7 +153,7 @@ def photometric_homography_loss(
     source: Tensor,
     target: Tensor,
     src_homo_dst: Tensor,
-    distance: str = "l1",
+    distance: Distance = "l1",
     eps: float = 1e-3,
     align_corners: bool = False,
     normalized_coordinates: bool = True,
@@ -203,7 +204,7 @@ def photometric_normal_equations(
     source: Tensor,
     target: Tensor,
     src_homo_dst: Tensor,
-    distance: str = "l1",
+    distance: Distance = "l1",
     eps: float = 1e-3,
     align_corners: bool = False,
     normalized_coordinates: bool = True,

@@ -12,6 +12,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from kvision import _check
+from kvision._choices import Border
 from kvision._dtype import as_dtype, compute_dtype, pixels
 from kvision._modes import BORDER, INTERPOLATION
 from kvision._modules import FunctionModule
@@ -55,7 +56,7 @@ _detail = register(
 # --- functions ------------------------------------------------------------------------------------------------------
 
 
-def pyrdown(input: Tensor, border_type: str = "reflect", align_corners: bool = False, factor: float = 2.0) -> Tensor:
+def pyrdown(input: Tensor, border_type: Border = "reflect", align_corners: bool = False, factor: float = 2.0) -> Tensor:
     """Blur images with a binomial 5 x 5 kernel and downsample them by bilinear interpolation.
 
     Args:
@@ -92,7 +93,7 @@ def pyrdown(input: Tensor, border_type: str = "reflect", align_corners: bool = F
     return resized(pixels(input), size, INTERPOLATION["pyrdown"], align_corners, False, BORDER[border_type])
 
 
-def pyrup(input: Tensor, border_type: str = "reflect", align_corners: bool = False) -> Tensor:
+def pyrup(input: Tensor, border_type: Border = "reflect", align_corners: bool = False) -> Tensor:
     """Upsample images to twice their size by bilinear interpolation and blur them with a binomial 5 x 5 kernel.
 
     Args:
@@ -123,7 +124,7 @@ def pyrup(input: Tensor, border_type: str = "reflect", align_corners: bool = Fal
     return resized(pixels(input), size, INTERPOLATION["pyrup"], align_corners, False, BORDER[border_type])
 
 
-def _blur(op: str, image: Tensor, border_type: str) -> Tensor:
+def _blur(op: str, image: Tensor, border_type: Border) -> Tensor:
     _check.reflectable(op, image, (2, 2), border_type)
     dtype = image.dtype if image.dtype == torch.float64 else torch.float32
     d = torch.arange(-2, 3, dtype=dtype, device=image.device).abs()
@@ -132,7 +133,7 @@ def _blur(op: str, image: Tensor, border_type: str) -> Tensor:
 
 
 def build_pyramid(
-    input: Tensor, max_level: int, border_type: str = "reflect", align_corners: bool = False
+    input: Tensor, max_level: int, border_type: Border = "reflect", align_corners: bool = False
 ) -> list[Tensor]:
     """Compute a Gaussian pyramid: each level is the :func:`pyrdown` of the level before.
 
@@ -164,7 +165,7 @@ def build_pyramid(
 
 
 def build_laplacian_pyramid(
-    input: Tensor, max_level: int, border_type: str = "reflect", align_corners: bool = False
+    input: Tensor, max_level: int, border_type: Border = "reflect", align_corners: bool = False
 ) -> list[Tensor]:
     """Compute a Laplacian pyramid: the difference of each level of a Gaussian pyramid and the next one's :func:`pyrup`.
 
@@ -222,7 +223,7 @@ def _next_power_of_2(n: int) -> int:
     return bits + 1
 
 
-def _level(image: Tensor, smaller: Tensor, border_type: str, align_corners: bool) -> Tensor:
+def _level(image: Tensor, smaller: Tensor, border_type: Border, align_corners: bool) -> Tensor:
     if border_type == "circular":
         return image - pyrup(smaller, border_type, align_corners)
     _check.reflectable("build_laplacian_pyramid", smaller, (1, 1), border_type)
@@ -238,7 +239,7 @@ class PyrDown(FunctionModule):
         torch.Size([1, 3, 4, 4])
     """
 
-    def __init__(self, border_type: str = "reflect", align_corners: bool = False, factor: float = 2.0) -> None:
+    def __init__(self, border_type: Border = "reflect", align_corners: bool = False, factor: float = 2.0) -> None:
         super().__init__(border_type=border_type, align_corners=align_corners, factor=factor)
 
     def forward(self, input: Tensor) -> Tensor:
@@ -254,7 +255,7 @@ class PyrUp(FunctionModule):
         torch.Size([1, 3, 16, 16])
     """
 
-    def __init__(self, border_type: str = "reflect", align_corners: bool = False) -> None:
+    def __init__(self, border_type: Border = "reflect", align_corners: bool = False) -> None:
         super().__init__(border_type=border_type, align_corners=align_corners)
 
     def forward(self, input: Tensor) -> Tensor:

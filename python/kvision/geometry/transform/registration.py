@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Literal, TypeAlias
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
 from kvision import _check
+from kvision._choices import Distance
 from kvision.core.exceptions import ShapeError, ValueCheckError
 from kvision.geometry.conversions.angles import cos_sin
 from kvision.geometry.conversions.homogeneous import homogeneous
@@ -22,7 +23,7 @@ from kvision.geometry.transform.resize import resize
 
 __all__ = ["BaseModel", "Homography", "ImageRegistrator", "Similarity"]
 
-_FUSED = {F.l1_loss: "l1", F.mse_loss: "l2"}  # losses with a fused photometric_homography_loss
+_FUSED: dict[Any, Distance] = {F.l1_loss: "l1", F.mse_loss: "l2"}  # losses with a fused photometric_homography_loss
 _LOOK_EVERY = 10  # iterations between two reads of the loss; a read waits for the device
 
 
@@ -128,6 +129,7 @@ class Similarity(BaseModel):
         return inverse / inverse[:, 2:, 2:]
 
 
+ModelType: TypeAlias = Literal["homography", "similarity", "translation", "scale", "rotation"]
 _MODELS: dict[str, Callable[[], BaseModel]] = {
     "homography": Homography,
     "similarity": Similarity,
@@ -165,7 +167,7 @@ class ImageRegistrator(nn.Module):
 
     def __init__(
         self,
-        model_type: str | BaseModel = "homography",
+        model_type: ModelType | BaseModel = "homography",
         optimizer: type[torch.optim.Optimizer] = torch.optim.Adam,
         loss_fn: Callable[..., Tensor] = F.l1_loss,
         pyramid_levels: int = 5,

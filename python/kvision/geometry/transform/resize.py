@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, get_args
 
 import torch
 from torch import Tensor
 from torch.compiler import is_compiling
 
 from kvision import _check
+from kvision._choices import ResizeInterpolation, ResizeSide
 from kvision._clamp import clamp
 from kvision._dtype import compute_dtype
 from kvision._list_ops import ListOperator
@@ -24,8 +25,8 @@ from kvision.geometry.transform.nearest import as_values, of_values
 
 __all__ = ["Rescale", "Resize", "rescale", "resize", "resize_to_be_divisible"]
 
-INTERPOLATIONS = ("bilinear", "nearest", "nearest-exact", "bicubic", "area", "lanczos")
-_SIDES = ("short", "long", "vert", "horz")
+INTERPOLATIONS = get_args(ResizeInterpolation)
+_SIDES = get_args(ResizeSide)
 
 # --- the definition: csrc/geometry/transform/resize/resize.h has it in a table ----------------------------------------
 
@@ -195,7 +196,12 @@ resized_list_backward = ListOperator(
 
 
 def resize_each(
-    images: list[Tensor], sizes: list[int], interpolation: str, align_corners: bool, antialias: bool, is_list: bool
+    images: list[Tensor],
+    sizes: list[int],
+    interpolation: ResizeInterpolation,
+    align_corners: bool,
+    antialias: bool,
+    is_list: bool,
 ) -> Any:
     """Images resized to one size, or each to one of `sizes`; as a batch unless `is_list`."""
     values, like = lists.as_value_list(images, interpolation), lists.like_batch(images)
@@ -209,9 +215,9 @@ def resize_each(
 def resize(
     input: Tensor | list[Tensor],
     size: int | tuple[int, int],
-    interpolation: str = "bilinear",
+    interpolation: ResizeInterpolation = "bilinear",
     align_corners: bool | None = None,
-    side: str = "short",
+    side: ResizeSide = "short",
     antialias: bool | str = False,
 ) -> Tensor:
     """Resample images to a size.
@@ -322,7 +328,7 @@ def _size_of_images(op: str, input: Tensor) -> tuple[int, int]:
     )
 
 
-def side_to_size(size: int, h: int, w: int, side: str) -> tuple[int, int]:
+def side_to_size(size: int, h: int, w: int, side: ResizeSide) -> tuple[int, int]:
     """Height and width of a result with one side of length `size`, and the aspect of an image h x w."""
     # Computed in floats, as in Kornia: products are rounded down. A side next to a short one is at least `size`.
     height, width = math.trunc(size / (w / h)), math.trunc(size * (w / h))
@@ -342,7 +348,7 @@ def _blurred(x: Tensor, *factors: float) -> Tensor:
 def rescale(
     input: Tensor,
     factor: float | tuple[float, float],
-    interpolation: str = "bilinear",
+    interpolation: ResizeInterpolation = "bilinear",
     align_corners: bool | None = None,
     antialias: bool | str = False,
 ) -> Tensor:
@@ -391,9 +397,9 @@ def _rescale(input, factor, interpolation, align_corners, antialias):
 def resize_to_be_divisible(
     input: Tensor,
     divisible_factor: int,
-    interpolation: str = "bilinear",
+    interpolation: ResizeInterpolation = "bilinear",
     align_corners: bool | None = None,
-    side: str = "short",
+    side: ResizeSide = "short",
     antialias: bool | str = False,
 ) -> Tensor:
     """Resample images so that both sides are the nearest multiples of a number, at least one multiple.
@@ -440,9 +446,9 @@ class Resize(FunctionModule):
     def __init__(
         self,
         size: int | tuple[int, int],
-        interpolation: str = "bilinear",
+        interpolation: ResizeInterpolation = "bilinear",
         align_corners: bool | None = None,
-        side: str = "short",
+        side: ResizeSide = "short",
         antialias: bool | str = False,
     ) -> None:
         super().__init__(
@@ -465,7 +471,7 @@ class Rescale(FunctionModule):
     def __init__(
         self,
         factor: float | tuple[float, float],
-        interpolation: str = "bilinear",
+        interpolation: ResizeInterpolation = "bilinear",
         align_corners: bool = True,
         antialias: bool | str = False,
     ) -> None:

@@ -12,12 +12,13 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._choices import Interpolation, PaddingOrFill
 from kvision._clamp import clamp
 from kvision._constants import constant
 from kvision._dtype import as_dtype, compute_dtype
@@ -29,8 +30,8 @@ from kvision.geometry.conversions.pixels import by_axes
 from kvision.geometry.linalg import adjugate
 from kvision.geometry.transform import matrices, nearest
 
-INTERPOLATIONS = ("bilinear", "nearest", "bicubic")
-PADDINGS = ("zeros", "border", "reflection", "fill")
+INTERPOLATIONS = get_args(Interpolation)
+PADDINGS = get_args(PaddingOrFill)
 
 # --- the definition -------------------------------------------------------------------------------------------------
 
@@ -532,12 +533,14 @@ _remap_map_backward = register(
 # --- arguments ------------------------------------------------------------------------------------------------------
 
 
-def check_options(op: str, mode: Any, padding_mode: Any, align_corners: Any) -> None:
+def check_options(
+    op: str, mode: Any, padding_mode: Any, align_corners: Any, paddings: Sequence[str] = PADDINGS
+) -> None:
     """Raise unless these are an interpolation, a padding and a bool."""
     if mode not in INTERPOLATIONS:
         _check.choice(op, "mode", mode, INTERPOLATIONS)
-    if padding_mode not in PADDINGS:
-        _check.choice(op, "padding_mode", padding_mode, PADDINGS)
+    if padding_mode not in paddings:
+        _check.choice(op, "padding_mode", padding_mode, paddings)
     _check.flag(op, "align_corners", align_corners)
 
 

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._choices import PaddingOrFill
 from kvision._dtype import as_dtype, compute_dtype, floats, pixels
 from kvision._modes import INTERPOLATION
 from kvision._ops import register
@@ -204,7 +205,7 @@ def warp_image_tps(
     kernel_weights: Tensor,
     affine_weights: Tensor,
     align_corners: bool = False,
-    padding_mode: str = "zeros",
+    padding_mode: PaddingOrFill = "zeros",
 ) -> Tensor:
     """Resample images at the coordinates that thin-plate splines map the pixels of the result to.
 

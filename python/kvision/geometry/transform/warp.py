@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import get_args
 
 from torch import Tensor
 
 from kvision import _check
+from kvision._choices import Interpolation, Padding, PaddingOrFill
 from kvision._dtype import floats
 from kvision._modes import INTERPOLATION
 from kvision.core.exceptions import ShapeError
@@ -23,13 +25,15 @@ from kvision.geometry.transform.nearest import as_values, of_values
 
 __all__ = ["homography_warp", "remap", "warp_affine", "warp_grid", "warp_perspective"]
 
+_PADDINGS = get_args(Padding)
+
 
 def warp_perspective(
     src: Tensor | list[Tensor],
     M: Tensor,
     dsize: tuple[int, int],
-    mode: str = "bilinear",
-    padding_mode: str = "zeros",
+    mode: Interpolation = "bilinear",
+    padding_mode: PaddingOrFill = "zeros",
     align_corners: bool = True,
     fill_value: Tensor | Sequence[float] | float | None = None,
     antialias: bool = False,
@@ -80,8 +84,8 @@ def warp_affine(
     src: Tensor | list[Tensor],
     M: Tensor,
     dsize: tuple[int, int],
-    mode: str = "bilinear",
-    padding_mode: str = "zeros",
+    mode: Interpolation = "bilinear",
+    padding_mode: PaddingOrFill = "zeros",
     align_corners: bool = True,
     fill_value: Tensor | Sequence[float] | float | None = None,
     antialias: bool = False,
@@ -151,8 +155,8 @@ def homography_warp(
     patch_src: Tensor,
     src_homo_dst: Tensor,
     dsize: tuple[int, int],
-    mode: str = "bilinear",
-    padding_mode: str = "zeros",
+    mode: Interpolation = "bilinear",
+    padding_mode: Padding = "zeros",
     align_corners: bool = False,
     normalized_coordinates: bool = True,
     normalized_homography: bool = True,
@@ -193,9 +197,7 @@ def homography_warp(
     _check.images(op, "patch_src", patch_src)
     _check.shape(op, "src_homo_dst", src_homo_dst, "B", 3, 3)
     size = _check.ints(op, "dsize", dsize, 2)
-    sampling.check_options(op, mode, padding_mode, align_corners)
-    if padding_mode == "fill":
-        _check.choice(op, "padding_mode", padding_mode, sampling.PADDINGS[:3])
+    sampling.check_options(op, mode, padding_mode, align_corners, _PADDINGS)
     _check.flag(op, "normalized_coordinates", normalized_coordinates)
     _check.flag(op, "normalized_homography", normalized_homography)
     image, samples = as_values(patch_src, mode), sampling.count_samples(patch_src, src_homo_dst)
@@ -210,8 +212,8 @@ def remap(
     image: Tensor,
     map_x: Tensor,
     map_y: Tensor,
-    mode: str = "bilinear",
-    padding_mode: str = "zeros",
+    mode: Interpolation = "bilinear",
+    padding_mode: Padding = "zeros",
     align_corners: bool | None = None,
     normalized_coordinates: bool = False,
     antialias: bool = False,
@@ -256,10 +258,8 @@ def remap(
     if 0 in map_x.shape[1:]:
         raise ShapeError(f"remap: expected map_x with H, W of at least 1, got {tuple(map_x.shape)}")
     align_corners = False if align_corners is None else align_corners
-    sampling.check_options("remap", mode, padding_mode, align_corners)
+    sampling.check_options("remap", mode, padding_mode, align_corners, _PADDINGS)
     check_antialias("remap", antialias, mode)
-    if padding_mode == "fill":
-        _check.choice("remap", "padding_mode", padding_mode, sampling.PADDINGS[:3])
     _check.flag("remap", "normalized_coordinates", normalized_coordinates)
     values, samples = as_values(image, mode), sampling.count_samples(image, map_x)
     map_x = sampling.cast_to_image("remap", values, "map_x", map_x, samples)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, get_args
 
 import torch
 from torch import Tensor
 from torch.compiler import is_compiling
 
 from kvision import _check
+from kvision._choices import Linear, Padding
 from kvision._dtype import as_dtype, compute_dtype, floats
 from kvision._modes import INTERPOLATION, INTERPOLATION_NAMES, PADDING, PADDING_NAMES, WARP_FORMULA
 from kvision._ops import on_cuda, register
@@ -30,13 +31,17 @@ __all__ = [
     "warp_perspective3d",
 ]
 
+_PADDINGS = get_args(Padding)
+
+_MODES = get_args(Linear)
+
 
 def warp_perspective3d(
     src: Tensor,
     M: Tensor,
     dsize: tuple[int, int, int],
-    flags: str = "bilinear",
-    border_mode: str = "zeros",
+    flags: Linear = "bilinear",
+    border_mode: Padding = "zeros",
     align_corners: bool = False,
 ) -> Tensor:
     """Warp volumes by homographies from their voxels to those of the result.
@@ -77,8 +82,8 @@ def warp_affine3d(
     src: Tensor,
     M: Tensor,
     dsize: tuple[int, int, int],
-    flags: str = "bilinear",
-    padding_mode: str = "zeros",
+    flags: Linear = "bilinear",
+    padding_mode: Padding = "zeros",
     align_corners: bool = True,
 ) -> Tensor:
     """Warp volumes by affine matrices from their voxels to those of the result.
@@ -111,7 +116,11 @@ def warp_affine3d(
 
 
 def affine3d(
-    tensor: Tensor, matrix: Tensor, mode: str = "bilinear", padding_mode: str = "zeros", align_corners: bool = False
+    tensor: Tensor,
+    matrix: Tensor,
+    mode: Linear = "bilinear",
+    padding_mode: Padding = "zeros",
+    align_corners: bool = False,
 ) -> Tensor:
     """Warp volumes by affine matrices, keeping their size.
 
@@ -148,8 +157,8 @@ def rotate3d(
     pitch: Tensor,
     roll: Tensor,
     center: Tensor | None = None,
-    mode: str = "bilinear",
-    padding_mode: str = "zeros",
+    mode: Linear = "bilinear",
+    padding_mode: Padding = "zeros",
     align_corners: bool = False,
 ) -> Tensor:
     """Rotate volumes about an axis through a center, keeping their size.
@@ -206,8 +215,8 @@ def homography_warp3d(
     patch_src: Tensor,
     src_homo_dst: Tensor,
     dsize: tuple[int, int, int],
-    mode: str = "bilinear",
-    padding_mode: str = "zeros",
+    mode: Linear = "bilinear",
+    padding_mode: Padding = "zeros",
     align_corners: bool = False,
     normalized_coordinates: bool = True,
 ) -> Tensor:
@@ -326,8 +335,8 @@ def _volume_options(
     op: str, dsize: tuple[int, ...], mode: str, padding_mode: str, align_corners: bool
 ) -> tuple[Any, ...]:
     size = _check.ints(op, "dsize", dsize, 3)
-    _check.choice(op, "mode", mode, sampling.INTERPOLATIONS[:2])
-    _check.choice(op, "padding_mode", padding_mode, sampling.PADDINGS[:3])
+    _check.choice(op, "mode", mode, _MODES)
+    _check.choice(op, "padding_mode", padding_mode, _PADDINGS)
     _check.flag(op, "align_corners", align_corners)
     padding = PADDING["fill" if padding_mode == "zeros" else padding_mode]
     return list(size), INTERPOLATION[mode], padding, align_corners

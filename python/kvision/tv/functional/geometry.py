@@ -188,7 +188,7 @@ def resize(
     max_size: int | None = None,
     antialias: bool | None = True,
 ) -> Tensor:
-    mode = interpolation_name("resize", interpolation)
+    mode: Any = interpolation_name("resize", interpolation)
     *leading, height, width = inpt.shape
     new = resized_size(height, width, size, max_size)
     if mode in ("box", "hamming") or (mode == "lanczos" and not antialias):

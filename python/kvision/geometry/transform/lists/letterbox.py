@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._choices import ResizeInterpolation
 from kvision.core.exceptions import TypeCheckError
 from kvision.geometry.transform.lists.arguments import check_list
 from kvision.geometry.transform.lists.warp_list import warped
@@ -47,7 +48,7 @@ def letterbox(
     images: Tensor | list[Tensor],
     size: int | tuple[int, int],
     fill_value: float | None = None,
-    interpolation: str = "bilinear",
+    interpolation: ResizeInterpolation = "bilinear",
     antialias: bool = False,
 ) -> Letterboxed:
     """Resize images with their aspect ratio to fit a size, and center them on a fill.

@@ -7,6 +7,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from kvision._choices import Interpolation, PaddingOrFill
 from kvision._list_ops import ListOperator
 from kvision._modes import INTERPOLATION, PADDING
 from kvision.geometry.transform import sampling
@@ -101,8 +102,8 @@ def warped(
     name: str,
     matrix: Tensor,
     size: list[int],
-    mode: str,
-    padding_mode: str,
+    mode: Interpolation,
+    padding_mode: PaddingOrFill,
     align_corners: bool,
     fill_value: Any = None,
     inverse: bool = False,

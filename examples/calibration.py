@@ -4,8 +4,8 @@
     python examples/calibration.py --image PICTURE ...     your pictures of a board (--columns, --rows inner corners)
     python examples/calibration.py --model kannala_brandt  a fisheye lens
 
-OpenCV finds the corners, kvision estimates intrinsics, distortion and poses from them. The figure has a picture with the corners,
-the same picture without distortion, and the error of each view.
+OpenCV finds the corners, kvision refines them and estimates intrinsics, distortion and poses. The figure has a picture with the
+corners, the same picture without distortion, and the error of each view.
 """
 
 from __future__ import annotations
@@ -64,12 +64,11 @@ def corners_of(picture: Tensor, columns: int, rows: int) -> Tensor | None:
     """The inner corners (rows * columns, 2) of a chessboard in a gray picture (1, H, W); None where there is none."""
     import cv2
 
-    gray = (255 * picture[0]).byte().cpu().numpy()
-    found, corners = cv2.findChessboardCornersSB(gray, (columns, rows))
+    found, corners = cv2.findChessboardCornersSB((255 * picture[0]).byte().cpu().numpy(), (columns, rows))
     if not found:
         return None
-    criteria = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 100, 1e-4)
-    return torch.from_numpy(cv2.cornerSubPix(gray, corners, (5, 5), (-1, -1), criteria).reshape(-1, 2)).double()
+    start = torch.from_numpy(corners).reshape(1, -1, 2).to(picture.device)
+    return K.geometry.refine_corners(picture[None], start, max_iterations=100, eps=1e-4)[0].cpu().double()
 
 
 def calibrate(pictures: list[Tensor], columns: int, rows: int, model: str, device: torch.device):

@@ -561,7 +561,7 @@ IMAGES = {"image", "input", "tensor", "src", "patch_src", "data", "depth", "imag
 IMAGES |= {"source", "views", "disparity", "inp", "img"}
 DATA = {"target", "img2", "guidance", "imageuv", "inputuv", "template", "src2", "mask", "noise", "map_x", "map_y"}
 DATA |= {"depth_dst", "patch_dst", "xyz_grid", "depth", "image"}
-DATA |= {"kernel_centers", "kernel_weights", "affine_weights", "pixel_coords", "dst", "laf", "lafs"}
+DATA |= {"corners", "kernel_centers", "kernel_weights", "affine_weights", "pixel_coords", "dst", "laf", "lafs"}
 # Functions that read values on the host, which "meta" has not; draw_* and boxes of crops decide sizes.
 READ = {"draw_line", "draw_point2d", "draw_rectangle", "draw_convex_polygon", "crop_by_boxes", "crop_by_boxes3d"}
 READ |= {"crop_by_indices"}

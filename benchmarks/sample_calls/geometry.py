@@ -264,6 +264,7 @@ GEOMETRY = {
     "conv_quad_interp3d conv_soft_argmax3d iterative_quad_interp3d nms3d_minmax": dict(input=VOLUME),
     "conv_soft_argmax2d spatial_expectation2d spatial_soft_argmax2d spatial_softmax2d hflip rot180 vflip pyrdown "
     "pyrup": dict(input=IMAGE),
+    "refine_corners": dict(image=rand("B 1 H W"), corners=rand("B N 2", "W/4", "W/2"), radius=3, max_iterations=1),
     "nms2d": dict(input=IMAGE, kernel_size=(3, 3)),
     "nms3d": dict(input=VOLUME, kernel_size=(3, 3, 3)),
     "render_gaussian2d": dict(mean=rand("B 2", -0.5, 0.5), std=rand("B 2", 0.1, 1.1), size=(20, 24)),

@@ -1,5 +1,6 @@
 """Peaks of images and volumes, at pixels and between them."""
 
+from kvision.geometry.subpix.corners import refine_corners
 from kvision.geometry.subpix.nms import NonMaximaSuppression2d, NonMaximaSuppression3d, nms2d, nms3d, nms3d_minmax
 from kvision.geometry.subpix.quad_interp3d import (
     AdaptiveQuadInterp3d,
@@ -39,6 +40,7 @@ __all__ = [
     "nms2d",
     "nms3d",
     "nms3d_minmax",
+    "refine_corners",
     "render_gaussian2d",
     "spatial_expectation2d",
     "spatial_soft_argmax2d",

@@ -56,7 +56,7 @@ def refuse_graphs(op: str) -> None:
     if is_compiling():
         raise RuntimeError(
             f"{op}: a random choice that changes sizes or modules is made on the host and has no graph; use p=0 or 1, one size "
-            "of a kernel, and no random_apply, or torch.compile without fullgraph=True"
+            "of a kernel, and no choice of children, or torch.compile without fullgraph=True"
         )
 
 
@@ -65,7 +65,7 @@ def refuse_capture(op: str) -> None:
     if torch.cuda.is_initialized() and torch.cuda.is_current_stream_capturing():
         raise RuntimeError(
             f"{op}: a random choice that changes sizes or modules cannot be captured in a CUDA graph; use p=0 or 1, one size "
-            "of a kernel, and no random_apply"
+            "of a kernel, and no choice of children"
         )
 
 

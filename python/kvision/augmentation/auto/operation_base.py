@@ -234,11 +234,6 @@ class OperationBase(nn.Module):
         chosen = {**params, "batch_prob": params["batch_prob"].detach()}
         return y, Applied(self.op, self.op._execution_on(x, chosen, self.op.flags), self.op.flags), params
 
-    def _restricted(self, params: Params, chosen: Tensor) -> Params:
-        """The parameters of a call of all samples as those of the chosen ones alone, (B,) bool on the CPU."""
-        probability = params["batch_prob"]
-        return {**params, "batch_prob": probability * chosen.to(probability.device)}
-
     def _augment(self, x: Tensor, params: Params) -> tuple[Tensor, Execution]:
         """Images augmented with parameters, and what the augmentation did to all of them."""
         check_batch_of_params(type(self).__name__, len(params["batch_prob"]), len(x))

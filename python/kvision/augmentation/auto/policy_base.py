@@ -24,7 +24,6 @@ from kvision.augmentation.engine import (
     checked_items,
 )
 from kvision.augmentation.keys import check_seeds, draw_keys
-from kvision.augmentation.samples import where_chosen
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 
 __all__ = ["PolicyAugmentBase"]
@@ -50,13 +49,6 @@ class Drawn(NamedTuple):
     operation: Tensor  # (B, steps), int64; -1 for none
     value: Tensor  # (B, steps)
     weights: Tensor | None = None  # of a mixture (B, 1 + chains): that of the image, then those of its chains
-
-    def restricted(self, chosen: Tensor) -> Drawn:
-        """The same for chosen samples, (B,) bool, and nothing for the others."""
-        here, weights = chosen.to(self.operation.device), self.weights
-        if weights is not None:
-            weights = where_chosen(here, weights, torch.eye(weights.shape[1], device=weights.device)[0])
-        return Drawn(where_chosen(here, self.operation, -1), self.value, weights)
 
 
 class PolicyAugmentBase(ImageSequential):

@@ -1,5 +1,6 @@
 """Containers: chains of augmentations, for images alone or with their masks, boxes, key points and labels."""
 
+from kvision.augmentation.container.choices import OneOf, RandomApply, RandomOrder, SomeOf
 from kvision.augmentation.container.dispatcher import ManyToManyAugmentationDispather, ManyToOneAugmentationDispather
 from kvision.augmentation.engine import (
     AugmentationSequential,
@@ -16,7 +17,11 @@ __all__ = [
     "ImageSequentialBase",
     "ManyToManyAugmentationDispather",
     "ManyToOneAugmentationDispather",
+    "OneOf",
     "ParamItem",
     "PatchSequential",
+    "RandomApply",
+    "RandomOrder",
+    "SomeOf",
     "VideoSequential",
 ]

@@ -23,6 +23,7 @@ Neighbors in a container:
     runs, passes   plan what neighbors draw and execute together, and execute it
     definition     what they compute, written plainly
     choices        which children run, for the batch or for each sample
+    turns          execution where each sample has children of its own; choice_base the containers that draw them
     stages, record what a call did to positions of pixels; all that it did
     label_moves    boxes and points behind the stages of a call; label_record those of one call
     *_sequential   the containers that users call
@@ -39,6 +40,7 @@ from kvision.augmentation.engine.augmentation import (
     RigidAffineAugmentationBase3D,
 )
 from kvision.augmentation.engine.augmentation_sequential import AugmentationSequential
+from kvision.augmentation.engine.choice_base import ChoiceBase, positional
 from kvision.augmentation.engine.configuration import restored_format, settings_changed
 from kvision.augmentation.engine.contribution import Colors, Contribution, Motion
 from kvision.augmentation.engine.declaration import KeepsArguments
@@ -52,7 +54,7 @@ from kvision.augmentation.engine.execution import (
 )
 from kvision.augmentation.engine.image_sequential import ImageSequential, ImageSequentialBase, ParamItem, checked_items
 from kvision.augmentation.engine.patch_sequential import PatchSequential
-from kvision.augmentation.engine.record import Record
+from kvision.augmentation.engine.record import Child, Record
 from kvision.augmentation.engine.runs import CallContext
 from kvision.augmentation.engine.stages import Applied, Chain, Warp
 from kvision.augmentation.engine.video_sequential import VideoSequential
@@ -65,6 +67,8 @@ __all__ = [
     "AugmentationSequential",
     "CallContext",
     "Chain",
+    "Child",
+    "ChoiceBase",
     "Colors",
     "Contribution",
     "Execution",
@@ -84,6 +88,7 @@ __all__ = [
     "check_batch_of_params",
     "checked_items",
     "matrix_type",
+    "positional",
     "replaying",
     "restored_format",
     "settings_changed",

@@ -17,7 +17,6 @@ from kvision.augmentation.engine.image_sequential import ImageSequential, ParamI
 from kvision.augmentation.engine.label_moves import move_boxes_back
 from kvision.augmentation.engine.label_record import LabelRecord, moved_masks
 from kvision.augmentation.engine.record import Record
-from kvision.augmentation.engine.runs import execute
 from kvision.augmentation.engine.stages import (
     Chain,
     LabelSettings,
@@ -294,8 +293,7 @@ class AugmentationSequential(ImageSequential):
             for i, (key, value) in enumerate(zip(keys, inputs)):
                 if key == DataKey.INPUT and i != first:  # a second image gets the same
                     context = self._context(None, None, time)
-                    again = self._children_of_call(self._read_params(record), context)
-                    z, _ = execute(self.transform_tensor(value), again, context)
+                    z, _ = self._execute(self.transform_tensor(value), self._read_params(record), context)
                     outputs[i] = self._restored(z, value)
         else:
             outputs = [y]

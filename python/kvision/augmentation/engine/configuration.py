@@ -10,7 +10,7 @@ from torch.compiler import is_compiling
 
 from kvision.augmentation.keys import PortableGenerator
 
-_MOST = 64  # plans of an object: images of many sizes are rarer than plans are large
+_MOST = 512  # plans of an object: those of the samples of a batch that get one child have many sizes
 
 
 class _Changes:

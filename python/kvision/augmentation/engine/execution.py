@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import torch
@@ -70,7 +70,6 @@ class Execution:
         self.identity: tuple[torch.device, torch.dtype] | None = (
             None  # `matrix_type`, where matrices are made when they are read
         )
-        self.only: Tensor | None = None  # (B,) bool on the CPU, the samples that `restrict` has left
         self.keeps_map = False  # for labels of the same call
         self.map: Tensor | None = None  # of a deformation, kept by `keeps_map`
 
@@ -78,23 +77,6 @@ class Execution:
         """Keep the matrices of an operator, which carry no gradients; where parameters do, they are computed when asked for."""
         if self.columns is None or not self.columns.drawn.requires_grad:
             self.matrix = matrix
-
-    def restrict(self, chosen: Tensor, matrix_of: Callable[[Execution], Tensor] | None) -> None:
-        """Let the call be one of chosen samples, (B,) bool on the CPU, alone; `matrix_of` gives its matrices, if it has some."""
-        if not self.applied:
-            return
-        if matrix_of is not None:
-            matrix = matrix_of(self)
-            identity = torch.eye(matrix.shape[-1], dtype=matrix.dtype, device=matrix.device)
-            self.matrix = torch.where(chosen.to(matrix.device)[:, None, None], matrix, identity)
-        before = self.chosen
-        if before is not None:
-            self._chosen = before & chosen.to(before.device)
-        else:
-            self._chosen = chosen if self.identity is None else chosen.to(self.identity[0])
-        self.only, self.is_certain = chosen if self.only is None else self.only & chosen, False
-        if self.params is not None:
-            self.params = {**self.params, "batch_prob": self.params["batch_prob"] * chosen}
 
     @property
     def chosen(self) -> Tensor | None:

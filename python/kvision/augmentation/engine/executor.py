@@ -98,7 +98,7 @@ class Executor(Declaration):
             device, dtype = self._rng
             shape, columns = execution.shape, execution.columns
             chosen = torch.full((shape[0],), float(execution.applied), device="cpu")
-            request = self._request(shape)
+            request = self._request(shape, execution.is_certain)
             redraw = execution.redraw
             if request is not None and redraw is not None and columns is not None and columns.drawn.is_cuda:
                 redraw = (redraw[0].cpu(), redraw[1])
@@ -118,7 +118,7 @@ class Executor(Declaration):
                     redraw = redraw or (draw_keys(type(self).__name__, 1, values.device, 0, None), 0)
                     noise = PixelNoise(*redraw, self.same_on_batch, values.device)
                     params.update(self._pixel_params(values, execution, noise))
-            params["batch_prob"] = chosen if execution.only is None else chosen * execution.only
+            params["batch_prob"] = chosen
             params["forward_input_shape"] = torch.tensor(shape, device="cpu")
             execution.params = {
                 name: x.to(device, dtype if x.is_floating_point() else None) if isinstance(x, Tensor) else x
@@ -140,7 +140,7 @@ class Executor(Declaration):
 
     def _values_on_host(self, execution: Execution) -> Tensor:
         """The values (B, P) for decisions of the host, without waiting for what the device has drawn."""
-        request = self._request(execution.shape)
+        request = self._request(execution.shape, execution.is_certain)
         assert request is not None and execution.redraw is not None
         keys, index = execution.redraw
         keys.on_host(type(self).__name__)  # which raises where it cannot be read
@@ -342,11 +342,6 @@ class Executor(Declaration):
             needs_no_matrix = keeps_positions and not self._is_customized()
             self._plans.keep("needs_no_matrix", needs_no_matrix)
         return needs_no_matrix
-
-    def _restricted(self, execution: Execution, chosen: Tensor) -> Execution:
-        """A call of all samples as one of the chosen ones alone, (B,) bool on the CPU."""
-        execution.restrict(chosen, self._matrix)
-        return execution
 
     def _matrix(self, execution: Execution) -> Tensor:
         if execution.matrix is None:

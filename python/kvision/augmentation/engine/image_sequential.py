@@ -14,9 +14,10 @@ from kvision._choices import EachOrOnce, OutputType
 from kvision._modules import give_own_forward
 from kvision._ops import FLOATS
 from kvision.augmentation.engine.augmentation import AugmentationBase
-from kvision.augmentation.engine.choices import Choices, execute_turns
+from kvision.augmentation.engine.choices import Choices
 from kvision.augmentation.engine.configuration import Plans, portable, settings_changed
 from kvision.augmentation.engine.declaration import KeepsArguments
+from kvision.augmentation.engine.execution import check_batch_of_params
 from kvision.augmentation.engine.record import Child, Record
 from kvision.augmentation.engine.runs import CallContext, execute
 from kvision.augmentation.engine.stages import (
@@ -24,7 +25,9 @@ from kvision.augmentation.engine.stages import (
     LabelSettings,
     Nested,
     Stage,
+    Warp,
 )
+from kvision.augmentation.engine.turns import SomeSamples, Turn, execute_turns, turns_of
 from kvision.augmentation.inputs import (
     WIDE_INTEGERS,
     as_output_type,
@@ -44,7 +47,7 @@ from kvision.augmentation.samples import (
     with_matrix,
     without_added_axes,
 )
-from kvision.augmentation.warp_and_color import SAME, Output
+from kvision.augmentation.warp_and_color import SAME, Output, Resampling
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 from kvision.geometry.transform.lists.arguments import check_list, largest_shape
 
@@ -61,15 +64,32 @@ class ParamItem(NamedTuple):
     data: Any
 
 
-class TurnParamItem(ParamItem):
-    """Those of a child that ran for some samples of a batch, and runs without its neighbors in a replay, too."""
+class SomeParamItem(NamedTuple):
+    """Those of a child that some samples of a batch got, which `samples` (B,) says on the CPU; `data` are those of these alone."""
 
-    __slots__ = ()
+    name: str
+    data: Any
+    samples: Tensor
 
 
-def item_of(child: Child) -> ParamItem:
+AnyParamItem = ParamItem | SomeParamItem
+
+
+def item_of(child: Child) -> AnyParamItem:
     """The parameters of an executed child."""
-    return (TurnParamItem if child.runs_alone else ParamItem)(child.name, child.read_params())
+    if child.samples is None:
+        return ParamItem(child.name, child.read_params())
+    samples = torch.zeros(child.batch, dtype=torch.bool, device="cpu")
+    samples[list(child.samples)] = True
+    return SomeParamItem(child.name, child.read_params(), samples)
+
+
+def child_of(item: Any, module: nn.Module) -> Child:
+    """A child with the parameters that it replays."""
+    samples = getattr(item, "samples", None)
+    if samples is None:
+        return Child(item.name, module, item.data)
+    return Child(item.name, module, item.data, samples=samples.nonzero()[:, 0].tolist(), batch=len(samples))
 
 
 class ImageSequentialBase(KeepsArguments, nn.Sequential):
@@ -340,10 +360,7 @@ class ImageSequential(ImageSequentialBase):
     def _children_of_call(self, params: Sequence[ParamItem] | None, context: CallContext) -> list[Child]:
         if params is not None:
             by_name = self.get_children_by_params(params)
-            return [
-                Child(name, module, item.data, runs_alone=isinstance(item, TurnParamItem))
-                for (name, module), item in zip(by_name, params)
-            ]
+            return [child_of(item, module) for (_, module), item in zip(by_name, params)]
         if self.random_apply is None:
             sequence = self.get_forward_sequence()
         else:
@@ -355,9 +372,9 @@ class ImageSequential(ImageSequentialBase):
         """Run the children on images (B, C, H, W); gives the images and what the call did."""
         if self.random_apply is not None and isinstance(x, list):
             raise TypeCheckError(f"{context.op}: expected a batch for random_apply, got a list of images")
-        if params is None and self.random_apply is not None and self._chooses_for_samples(context):
-            sequences = self._sequences_of_samples(context, len(x) // max(context.time, context.frames))
-            y, stages, children = execute_turns(x, list(self.named_children()), sequences, context, context.position)
+        in_turns = self._in_turns(x, params, context)
+        if in_turns is not None:
+            y, stages, children = execute_turns(x, *in_turns)
         else:
             children = self._children_of_call(params, context)
             y, stages = execute(x, children, context)
@@ -366,16 +383,40 @@ class ImageSequential(ImageSequentialBase):
         record.size = tuple(y.shape[2:])
         return y, record
 
+    def _in_turns(
+        self, x: Tensor, params: Sequence[ParamItem] | None, context: CallContext
+    ) -> tuple[list[Turn], CallContext] | None:
+        """The turns of a call in which samples have children of their own, and their context; None where all have the same."""
+        if params is not None:
+            children = self._children_of_call(params, context)
+            turns = self._turns_of_params(children, len(x))
+            return (turns, context) if turns and any(child.samples is not None for child in children) else None
+        if not self._chooses_for_samples(context):
+            return None
+        frames = max(context.time, context.frames, 1)
+        sequences = self._sequences_of_samples(context, len(x) // frames)
+        units = self._units([Child(name, module) for name, module in self.named_children()])
+        return turns_of(units, sequences, frames, context.position), context
+
+    def _turns_of_params(self, children: Sequence[Child], batch: int) -> list[Turn]:
+        """The turns of a call that is replayed."""
+        for child in children:
+            if child.samples is not None:
+                check_batch_of_params(type(self).__name__, child.batch, batch)
+        return [Turn(unit, range(batch) if (s := unit[0].samples) is None else s) for unit in self._units(children)]
+
+    def _units(self, children: Sequence[Child]) -> list[Sequence[Child]]:
+        """What samples choose from, by its number: children by themselves, or several that run together."""
+        return [[child] for child in children]
+
+    def _inside(self, context: CallContext) -> CallContext:
+        """The context of the children in a call of the container around this one."""
+        return context.inside(self, context.once or self.resample == "once", self._plans, self._output)
+
     def _execute_nested(self, x: Tensor, params: Any, context: CallContext) -> tuple[Tensor, Stage, Record]:
-        once = context.once or self.resample == "once"
-        y, record = self._execute(x, params, context.inside(self, once, self._plans, self._output))
+        y, record = self._execute(x, params, self._inside(context))
         self._keep(record)
         return y, Nested(record.stages.stages, self._label_settings), record
-
-    def _restricted(self, record: Record, chosen: Tensor) -> Record:
-        """A call of all samples as one of the chosen ones alone, (B,) bool on the CPU."""
-        record.restrict(chosen)
-        return record
 
     @property
     def _label_settings(self) -> LabelSettings | None:
@@ -481,7 +522,7 @@ class ImageSequential(ImageSequentialBase):
             module = child.module
             if isinstance(module, ImageSequential) and module.return_transform is not False:
                 own = module._matrix(child.record) if module.return_transform else module._matrix_of_inner(child.record)
-                matrix = matrix if own is None else own @ matrix.to(own)
+                matrix = matrix if own is None else _product(own, matrix, child)
         return matrix
 
     def _restored(self, y: Tensor, input: Tensor) -> Tensor:
@@ -521,8 +562,8 @@ class ImageSequential(ImageSequentialBase):
         if params is None and not recompute:
             return self.transform_matrix
         x = self.transform_tensor(input)
-        children = self._children_of_call(self._params if params is None else params, self._context(None, None))
-        return execute(x, children, self._context(None, None))[1].product(identity_of(tuple(x.shape)))
+        record = self._execute(x, self._params if params is None else params, self._context(None, None))[1]
+        return record.stages.product(identity_of(tuple(x.shape)))
 
     def inverse(
         self, input: Tensor, params: Sequence[ParamItem] | None = None, extra_args: dict[Any, Any] | None = None
@@ -610,11 +651,22 @@ def _input_shape(params: Sequence[ParamItem]) -> tuple[int, ...] | None:
     """The shape of the images of a call."""
     for item in params:
         data = getattr(item, "data", None)  # cells of a grid say nothing about the image
+        samples = getattr(item, "samples", None)
+        shape: tuple[int, ...] | None = None
         if isinstance(data, dict) and "forward_input_shape" in data:
-            return tuple(int(n) for n in data["forward_input_shape"])
-        if isinstance(data, (list, tuple)) and (shape := _input_shape(data)) is not None:
-            return shape
+            shape = tuple(int(n) for n in data["forward_input_shape"])
+        elif isinstance(data, (list, tuple)):
+            shape = _input_shape(data)
+        if shape is not None:
+            return shape if samples is None else (len(samples), *shape[1:])
     return None
+
+
+def _product(own: Tensor, matrix: Tensor, child: Child) -> Tensor:
+    """Matrices multiplied by those of a child from the left."""
+    if child.samples is None:
+        return own @ matrix.to(own)
+    return SomeSamples(Warp(own, (), (), Resampling()), child.samples, child.batch, None).product(matrix)
 
 
 def identity_of(shape: tuple[int, ...]) -> Tensor:

@@ -167,10 +167,10 @@ class LabelMoves:
     def _is_mapped(self) -> Tensor | None:
         """(B,) bool, the samples that a map has moved; None for all."""
         any_chosen = None
-        for execution in self.chain.maps():
-            if execution.chosen is None:
+        for chosen in self.chain.maps():
+            if chosen is None:
                 return None
-            any_chosen = execution.chosen if any_chosen is None else any_chosen | execution.chosen
+            any_chosen = chosen if any_chosen is None else any_chosen | chosen.to(any_chosen.device)
         return any_chosen
 
 

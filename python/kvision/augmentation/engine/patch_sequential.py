@@ -13,17 +13,17 @@ from torch import Generator, Tensor, nn
 
 from kvision import _check
 from kvision._choices import OutputType, WindowPadding
-from kvision.augmentation.engine.choices import execute_turns
 from kvision.augmentation.engine.image_sequential import (
+    AnyParamItem,
     ImageSequential,
     ParamItem,
-    TurnParamItem,
     checked_items,
     item_of,
 )
 from kvision.augmentation.engine.record import Child, Record
 from kvision.augmentation.engine.runs import CallContext, execute
 from kvision.augmentation.engine.stages import Cells, Chain
+from kvision.augmentation.engine.turns import Turn, execute_turns, turns_of
 from kvision.augmentation.inputs import parse_size
 from kvision.augmentation.keys import Seed, frame_seeds
 from kvision.augmentation.warp_and_color import SAME
@@ -39,7 +39,7 @@ class PatchParamItem(NamedTuple):
     """The parameters of a child for some cells, by their numbers row by row; None stands for all."""
 
     indices: list[int] | None
-    param: ParamItem
+    param: AnyParamItem
 
 
 class PatchSequential(ImageSequential):
@@ -192,8 +192,9 @@ class PatchSequential(ImageSequential):
         pad = self.compute_padding(x, self.padding)
         cells = self._cells(x, pad)
         executed: list[tuple[list[int] | None, Child]]
-        if params is None and self._chooses_for_samples(context):
-            chains = [self._run_turns(cells, context)]
+        in_turns = self._in_turns_of_cells(cells, params, context)
+        if in_turns is not None:
+            chains = [self._run_turns(cells, in_turns, context)]
             executed = [(None, child) for child in chains[0]]
         else:
             count = len(cells)
@@ -224,19 +225,34 @@ class PatchSequential(ImageSequential):
             position += len(children)
         return executed
 
-    def _run_turns(self, cells: list[Tensor], context: CallContext) -> list[Child]:
-        """Run the children of each sample, or of each cell of each sample; all cells are one batch."""
-        samples = len(cells[0]) // max(context.time, context.frames)
+    def _in_turns_of_cells(
+        self, cells: list[Tensor], params: Sequence[PatchParamItem] | None, context: CallContext
+    ) -> list[Turn] | None:
+        """The turns of a call where each sample, or each cell of each sample, has children of its own; all cells are one batch."""
+        batch = len(cells) * len(cells[0])
+        if params is not None:
+            items = [item.param for item in checked_items(type(self).__name__, params, "param")]
+            children = self._children_of_call(items, context)
+            return self._turns_of_params(children, batch) if any(c.samples is not None for c in children) else None
+        if not self._chooses_for_samples(context):
+            return None
+        frames = max(context.time, context.frames, 1)
+        samples = len(cells[0]) // frames
         if self.patchwise_apply:
             of_cells = (context._replace(seed=seed, position=0) for seed in self._seeds_of_choices(len(cells), context))
             sequences = [own for of_cell in of_cells for own in self._sequences_of_samples(of_cell, samples)]
         else:
             sequences = self._sequences_of_samples(context, samples) * len(cells)
+        units = [[Child(name, module)] for name, module in self.named_children()]
+        return turns_of(units, sequences, frames, context.position)
+
+    def _run_turns(self, cells: list[Tensor], turns: Sequence[Turn], context: CallContext) -> list[Child]:
+        """Run turns on all cells as one batch."""
         children: list[Child] = []
 
         def run(x: Tensor, own: CallContext) -> Tensor:
-            y, _, turns = execute_turns(x, list(self.named_children()), sequences, own, context.position)
-            children.extend(turns)
+            y, _, executed = execute_turns(x, turns, own)
+            children.extend(executed)
             return y
 
         self._run_cells(cells, list(range(len(cells))), context, run)
@@ -273,7 +289,7 @@ class PatchSequential(ImageSequential):
         chains: list[list[Child]] = [[] for _ in range(count)]
         checked_items(type(self).__name__, params, "param")
         for indices, item in params:
-            child = Child(item.name, modules[item.name], item.data, runs_alone=isinstance(item, TurnParamItem))
+            child = Child(item.name, modules[item.name], item.data)
             for cell in range(count) if indices is None else indices:
                 chains[cell].append(child)
         return chains

@@ -27,13 +27,9 @@ class Child:
     module: nn.Module
     params: Any = None
     record: Any = None  # what it did: the Execution of an augmentation, the Record of a container
-    runs_alone: bool = False  # without its neighbors, as what some samples run has to give the same in all batches
+    samples: Sequence[int] | None = None  # of a batch, for which it was executed; None for all
+    batch: int = 0  # of how many
     foreign_params: Any = None  # `_params` of a module that has no records, after its call
-
-    def restrict(self, chosen: Tensor) -> None:
-        """Let the record, of all samples, be one of the chosen ones alone, (B,) bool on the CPU."""
-        if self.record is not None:
-            self.record = self.module._restricted(self.record, chosen)  # type: ignore[operator]
 
     def read_params(self) -> Any:
         """The parameters that it was executed with."""
@@ -68,15 +64,3 @@ class Record:
         record = Record()
         record.__dict__.update(self.__dict__, **values)
         return record
-
-    def restrict(self, chosen: Tensor) -> None:
-        """Let the call be one of chosen samples alone, (B,) bool on the CPU."""
-        self.stages = self.stages.restricted(chosen)
-        for child in self.children:
-            child.restrict(chosen)
-        for indices, child in self.cells:
-            child.restrict(chosen.repeat(self.cell_count if indices is None else len(indices)))
-        if self.drawn is not None:
-            self.drawn = self.drawn.restricted(chosen)
-        if self.chosen is not None:
-            self.chosen = self.chosen & chosen.to(self.chosen.device)

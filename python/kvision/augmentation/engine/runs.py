@@ -58,6 +58,7 @@ class CallContext(NamedTuple):
     has_labels: bool = False  # which follow the images, so that maps are kept for them
     masks: Callable[[Chain], Any] | None = None  # those of the images after stages, for what mixes by them
     default_generator: Generator | None = None  # of the container, for children without one of their own
+    is_certain: bool = False  # children are executed for all samples, whatever their probabilities say
 
     @classmethod
     def of_module(cls, op: str, seed: Seed, generator: Generator | None) -> CallContext:
@@ -159,14 +160,14 @@ def _position_inside(position: int) -> int:
 
 def _key(x: Tensor, children: Sequence[Child], context: CallContext, position: int) -> Hashable:
     """The key of the plan of a run: all that it depends on besides the settings of modules."""
-    _, seed, _, once, _, output, frames, _, time, *_ = context
+    _, seed, _, once, _, output, frames, _, time, *_, is_certain = context
     modules = [(id(child.module), child.params is None) for child in children]
-    return (x.shape, x.dtype, position, seed is None, once, output, frames, time, *modules)
+    return (x.shape, x.dtype, position, seed is None, once, output, frames, time, is_certain, *modules)
 
 
 def _runs(children: Sequence[Child], plans: Plans) -> list[tuple[Sequence[Child], str]]:
     """Split children into augmentations that draw together, and modules that run by themselves, each with how it is executed."""
-    key = ("runs", *[(id(child.module), child.params is None, child.runs_alone) for child in children])
+    key = ("runs", *[(id(child.module), child.params is None) for child in children])
     lengths: list[tuple[int, str]] | None = plans.get(key)
     if lengths is None:
         lengths = _lengths_of_runs(children)
@@ -195,8 +196,7 @@ def _lengths_of_runs(children: Sequence[Child]) -> list[tuple[int, str]]:
 
 
 def _draw_together(before: Child, child: Child) -> bool:
-    has_neighbor = not (child.runs_alone or before.runs_alone) and _has_known_size(child.module)
-    return has_neighbor and (child.params is None) == (before.params is None)
+    return _has_known_size(child.module) and (child.params is None) == (before.params is None)
 
 
 def _has_known_size(module: Any) -> bool:
@@ -299,7 +299,9 @@ def _kept_plan(x: Tensor, run: Sequence[Child], context: CallContext, position: 
         return plan, None
     modules: list[AugmentationBase] = [child.module for child in run]  # type: ignore[misc]  # by _runs
     plan, keys = _plan_run(x, modules, context, position)
-    decides = any(m.whole_batch and 0 < m.p_batch < 1 for m in modules)  # on the host, in each call
+    decides = not context.is_certain and any(
+        m.whole_batch and 0 < m.p_batch < 1 for m in modules
+    )  # on the host, in each call
     if not decides and all(draws.learned is None for draws in plan.draws):
         context.plans.keep(key, plan)
     return plan, keys
@@ -344,15 +346,17 @@ def _plan_run(
     keys: Keys | None = None
     for module in modules:
         of_samples = (samples, *shape[1:])
-        request = module._request(of_samples) if module.p > 0 and module.p_batch > 0 else None
+        may_apply = context.is_certain or (module.p > 0 and module.p_batch > 0)
+        request = module._request(of_samples, context.is_certain) if may_apply else None
         number = len(requests)
         if request is not None:
             requests.append(request)
             drawing.append(module)
-            if module.whole_batch and module.p_batch < 1:
+            if module.whole_batch and module.p_batch < 1 and not context.is_certain:
                 # What changes sizes by chance decides with its key on the host, before those after it are planned.
                 keys = _more_keys(keys, drawing, x, context)
-        applies = module._applies(keys if request is not None else None, first + number if has_seed else number)
+        decider = keys if request is not None else None
+        applies = context.is_certain or module._applies(decider, first + number if has_seed else number)
         shapes.append(shape)
         applied.append(applies)
         numbers.append(None if request is None else number)
@@ -372,7 +376,7 @@ def _plan_run(
         for shape, span, applies in zip(shapes, spans, applied)
     ]
     steps = plan_steps(modules, planned, context.once, x.dtype, context.output)
-    certain = [module._is_certain for module in modules]
+    certain = [context.is_certain or module._is_certain for module in modules]
     drawn = None
     if steps and len(draws) == 1 and context.frames == 1:
         keys_of = [None if number is None else (first + number, has_seed) for number in numbers]

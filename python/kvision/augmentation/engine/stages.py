@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import torch
@@ -15,7 +15,6 @@ from kvision.augmentation.engine.augmentation import AugmentationBase
 from kvision.augmentation.engine.execution import Execution
 from kvision.augmentation.labels import BoxFilter
 from kvision.augmentation.maps import warp, warp_labels
-from kvision.augmentation.samples import where_chosen
 from kvision.augmentation.warp_and_color import Resampling
 from kvision.constants import Resample
 from kvision.geometry.linalg import transform_points
@@ -77,8 +76,8 @@ class Stage:
         """The size of the images that the module was executed on, where it is known."""
         return None
 
-    def maps(self) -> list[Execution]:
-        """The executions of maps that were applied."""
+    def maps(self) -> list[Tensor | None]:
+        """Of each map that was applied the samples that it moved, (B,) bool; None for all."""
         return []
 
     def displacements(self, like: Tensor) -> Tensor | None:
@@ -108,10 +107,6 @@ class Stage:
     def product(self, matrix: Tensor) -> Tensor:
         """A matrix with that of the stage multiplied to it from the left."""
         return matrix
-
-    def restricted(self, chosen: Tensor) -> Stage:
-        """The stage if it moved the chosen samples alone, (B,) bool on the CPU."""
-        return self
 
     def flat(self) -> list[Stage]:
         """The stages of which it consists."""
@@ -149,8 +144,8 @@ class Chain(Stage):
         sizes = [stage.source_size() for stage in self.stages]
         return next((size for size in sizes if size is not None), None)
 
-    def maps(self) -> list[Execution]:
-        return [execution for stage in self.stages for execution in stage.maps()]
+    def maps(self) -> list[Tensor | None]:
+        return [chosen for stage in self.stages for chosen in stage.maps()]
 
     def move_points(self, points: Tensor) -> Tensor:
         for stage in self.stages:
@@ -182,9 +177,6 @@ class Chain(Stage):
             matrix = stage.product(matrix)
         return matrix
 
-    def restricted(self, chosen: Tensor) -> Chain:
-        return Chain([stage.restricted(chosen) for stage in self.stages])
-
     def flat(self) -> list[Stage]:
         return [part for stage in self.stages for part in stage.flat()]
 
@@ -209,9 +201,6 @@ class Nested(Chain):
 
     def move_masks(self, masks: Tensor, reading: MaskReading) -> Tensor:
         return super().move_masks(masks, reading.inside(self.labels))
-
-    def restricted(self, chosen: Tensor) -> Nested:
-        return Nested(super().restricted(chosen).stages, self.labels)
 
 
 @dataclass
@@ -244,9 +233,6 @@ class Warp(Stage):
     def product(self, matrix: Tensor) -> Tensor:
         return self.matrix @ matrix.to(self.matrix)
 
-    def restricted(self, chosen: Tensor) -> Warp:
-        return replace(self, matrix=_or_identity(self.matrix, chosen))
-
 
 @dataclass
 class Applied(Stage):
@@ -270,8 +256,8 @@ class Applied(Stage):
     def source_size(self) -> tuple[int, ...]:
         return tuple(self.execution.shape[2:])
 
-    def maps(self) -> list[Execution]:
-        return [self.execution] if self.module.moves_by_map and self.execution.applied else []
+    def maps(self) -> list[Tensor | None]:
+        return [self.execution.chosen] if self.module.moves_by_map and self.execution.applied else []
 
     def displacements(self, like: Tensor) -> Tensor | None:
         module: Any = self.module
@@ -298,10 +284,6 @@ class Applied(Stage):
     def product(self, matrix: Tensor) -> Tensor:
         own = self.module._matrix(self.execution)
         return own @ matrix.to(own)
-
-    def restricted(self, chosen: Tensor) -> Applied:
-        self.execution.restrict(chosen, self.module._matrix)
-        return self
 
     def forget(self) -> None:
         if self.execution.keeps_map:
@@ -352,8 +334,8 @@ class Composed(Stage):
     def source_size(self) -> tuple[int, ...]:
         return tuple(self.source)
 
-    def maps(self) -> list[Execution]:
-        return [link.execution for link in self.links if isinstance(link, MapLink) and link.execution.applied]
+    def maps(self) -> list[Tensor | None]:
+        return [link.execution.chosen for link in self.links if isinstance(link, MapLink) and link.execution.applied]
 
     def move_points(self, points: Tensor) -> Tensor:
         for link in self.links:
@@ -406,13 +388,6 @@ class Composed(Stage):
     def keeps_lines(self) -> bool:
         return not any(isinstance(link, MapLink) for link in self.links)
 
-    def restricted(self, chosen: Tensor) -> Composed:
-        for link in self.links:
-            if isinstance(link, MapLink):
-                link.execution.restrict(chosen, None)
-        links = [_or_identity(link, chosen) if isinstance(link, Tensor) else link for link in self.links]
-        return replace(self, links=links, _links=None)
-
 
 def _refuse(self: Any, *_: Any) -> Any:
     raise NotImplementedError(
@@ -425,8 +400,3 @@ class Cells(Stage):
 
     keeps_lines = False
     move_points = move_points_back = move_masks = move_masks_back = invert = product = _refuse  # type: ignore[assignment]
-
-
-def _or_identity(matrix: Tensor, chosen: Tensor) -> Tensor:
-    identity = torch.eye(matrix.shape[-1], dtype=matrix.dtype, device=matrix.device)
-    return where_chosen(chosen.to(matrix.device), matrix, identity)

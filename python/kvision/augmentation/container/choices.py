@@ -1,0 +1,249 @@
+"""Containers that choose the children of each sample: one of them, some of them, all in random order, or all or none."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Sequence
+from itertools import accumulate
+from typing import Any
+
+from torch import Generator
+
+from kvision import _check
+from kvision.augmentation.draws import Draw, uniform
+from kvision.augmentation.engine import AugmentationBase, Child, ChoiceBase, positional
+from kvision.core.exceptions import ValueCheckError
+
+__all__ = ["OneOf", "RandomApply", "RandomOrder", "SomeOf"]
+
+
+class OneOf(ChoiceBase):
+    """Run one child for each sample, drawn by the probabilities of the children.
+
+    The `p` of a child, times its `p_batch`, is its weight; a child without one has the weight 1. The child that a sample gets
+    augments it for certain. Samples with the same child are one batch, and a child that no sample gets does not run.
+
+    Args:
+        *children: augmentations, other containers, or any modules of images that do not mix samples; or one list of them, which
+            `p` may follow.
+        p: probability that a sample gets a child.
+        same_on_batch: all samples get the same child and parameters.
+        keepdim: if not None, that of all children.
+        generator: draws the keys of each call; default: torch's generator.
+        return_transform: calls return the image and the product of the matrices.
+
+    Raises:
+        TypeError: a child is not a module.
+        ValueError: there is no child; one mixes samples; `p` is not within 0 and 1; in a call, no child has a `p` above 0, or
+            samples have several sizes in the end.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> flip, invert = K.augmentation.RandomHorizontalFlip(), K.augmentation.RandomInvert()
+        >>> one = K.augmentation.OneOf(flip, invert)
+        >>> one(torch.tensor([[[[0.0, 0.25]]]]).expand(3, 1, 1, 2), seed=0).flatten(1)
+        tensor([[0.2500, 0.0000],
+                [1.0000, 0.7500],
+                [1.0000, 0.7500]])
+    """
+
+    children_are_certain = True
+
+    def __init__(
+        self,
+        *children: Any,
+        p: float = 1.0,
+        same_on_batch: bool | None = None,
+        keepdim: bool | None = None,
+        generator: Generator | None = None,
+        return_transform: bool | None = None,
+    ) -> None:
+        own: dict[str, Any] = {"p": p}
+        options = {"same_on_batch": same_on_batch, "keepdim": keepdim, "return_transform": return_transform}
+        super().__init__(*positional("OneOf", children, ("p",), own), **own, **options, generator=generator)
+        self._keep_arguments(**own, **options, generator=generator)
+
+    def _draws(self) -> list[Draw]:
+        return [uniform(0.0, 1.0)]
+
+    def _sequence(self, drawn: Sequence[float]) -> Sequence[int]:
+        sums = self._sums_of_weights()
+        return (bisect_right(sums, drawn[0] * sums[-1]),)
+
+    def _sums_of_weights(self) -> list[float]:
+        """The sums of the weights up to each child; the last one is above all draws of the one before it."""
+        sums: list[float] | None = self._plans.get("weights")
+        if sums is None:
+            sums = list(accumulate(map(_weight, self.children())))
+            if sums[-1] <= 0:
+                raise ValueCheckError("OneOf: expected a child with p above 0")
+            self._plans.keep("weights", sums)
+        return sums
+
+
+class SomeOf(ChoiceBase):
+    """Run some of the children for each sample, all with the same probability, each with its own `p`.
+
+    Args:
+        *children: augmentations, other containers, or any modules of images that do not mix samples; or one list of them, which
+            `n`, `replace` and `p` may follow.
+        n: how many children a sample gets, or the lowest and the highest number of them; at most as many as there are, unless
+            `replace`.
+        replace: a sample may get a child several times.
+        order: run them in the order of the arguments; False: in the order in which they are drawn.
+        p: probability that a sample gets children.
+        same_on_batch: all samples get the same children and parameters.
+        keepdim: if not None, that of all children.
+        generator: draws the keys of each call; default: torch's generator.
+        return_transform: calls return the image and the product of the matrices.
+
+    Raises:
+        TypeError: a child is not a module; `n` is neither an int nor two.
+        ValueError: there is no child; one mixes samples; `n` is below 0, or above the number of children; `p` is not within 0
+            and 1; in a call, samples have several sizes in the end.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> children = [K.augmentation.RandomHorizontalFlip(p=1.0), K.augmentation.RandomInvert(p=1.0)]
+        >>> K.augmentation.SomeOf(children, n=2)(torch.tensor([[[[0.0, 0.25]]]]))
+        tensor([[[[0.7500, 1.0000]]]])
+    """
+
+    def __init__(
+        self,
+        *children: Any,
+        n: int | Sequence[int] = 1,
+        replace: bool = False,
+        order: bool = True,
+        p: float = 1.0,
+        same_on_batch: bool | None = None,
+        keepdim: bool | None = None,
+        generator: Generator | None = None,
+        return_transform: bool | None = None,
+    ) -> None:
+        own: dict[str, Any] = {"n": n, "replace": replace, "p": p}
+        modules = positional("SomeOf", children, ("n", "replace", "p"), own)
+        options = {"same_on_batch": same_on_batch, "keepdim": keepdim, "return_transform": return_transform}
+        super().__init__(*modules, p=own["p"], **options, generator=generator)
+        low, high = _check.ints("SomeOf", "n", own["n"], 2, minimum=0)
+        self.replace, self.order = (
+            _check.switch("SomeOf", "replace", own["replace"]),
+            _check.switch("SomeOf", "order", order),
+        )
+        if low > high or not (self.replace or high <= len(self)):
+            bound = "" if self.replace else f", at most {len(self)}, the number of children"
+            raise ValueCheckError(
+                f"SomeOf: expected n to be a number or the lowest and the highest{bound}, got {own['n']}"
+            )
+        self.n = (low, high)
+        self._keep_arguments(**own, order=order, **options, generator=generator)
+
+    def extra_repr(self) -> str:
+        return f"n={self.n}, replace={self.replace}, order={self.order}, p={self.p}"
+
+    def _draws(self) -> list[Draw]:
+        low, high = self.n
+        count = Draw("integer", (low, 1, high - low + 1, low))
+        if self.replace:
+            return [count, *[Draw("integer", (0, 1, len(self), 0))] * high]
+        return [count, Draw("permutation", (len(self), 0, 1))]
+
+    def _sequence(self, drawn: Sequence[float]) -> Sequence[int]:
+        numbers = [int(number) for number in drawn[1 : 1 + int(drawn[0])]]
+        return sorted(numbers) if self.order else numbers
+
+
+class RandomOrder(ChoiceBase):
+    """Run all children for each sample in a random order, each with its own `p`.
+
+    Args:
+        *children: augmentations, other containers, or any modules of images that do not mix samples; or one list of them.
+        p: probability that a sample gets them.
+        same_on_batch: all samples get the same order and parameters.
+        keepdim: if not None, that of all children.
+        generator: draws the keys of each call; default: torch's generator.
+        return_transform: calls return the image and the product of the matrices.
+
+    Raises:
+        TypeError: a child is not a module.
+        ValueError: there is no child; one mixes samples; `p` is not within 0 and 1; in a call, samples have several sizes in the
+            end.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> children = K.augmentation.RandomInvert(p=1.0), K.augmentation.RandomBrightness((0.5, 0.5), p=1.0)
+        >>> K.augmentation.RandomOrder(*children)(torch.ones(4, 1, 1, 1), seed=0).flatten()
+        tensor([0.0000, 0.5000, 0.5000, 0.0000])
+    """
+
+    def __init__(
+        self,
+        *children: Any,
+        p: float = 1.0,
+        same_on_batch: bool | None = None,
+        keepdim: bool | None = None,
+        generator: Generator | None = None,
+        return_transform: bool | None = None,
+    ) -> None:
+        own: dict[str, Any] = {"p": p}
+        options = {"same_on_batch": same_on_batch, "keepdim": keepdim, "return_transform": return_transform}
+        super().__init__(*positional("RandomOrder", children, (), own), **own, **options, generator=generator)
+        self._keep_arguments(**own, **options, generator=generator)
+
+    def _draws(self) -> list[Draw]:
+        return [Draw("permutation", (len(self), 0, 1))]
+
+    def _sequence(self, drawn: Sequence[float]) -> Sequence[int]:
+        return [int(number) for number in drawn]
+
+
+class RandomApply(ChoiceBase):
+    """Run all children in order for a random part of the samples, each child with its own `p`.
+
+    Args:
+        *children: augmentations, other containers, or any modules of images that do not mix samples; or one list of them, which
+            `p` may follow.
+        p: probability that a sample gets them.
+        same_on_batch: all samples get them with the same parameters, or none.
+        keepdim: if not None, that of all children.
+        generator: draws the keys of each call; default: torch's generator.
+        return_transform: calls return the image and the product of the matrices.
+
+    Raises:
+        TypeError: a child is not a module.
+        ValueError: there is no child; one mixes samples; `p` is not within 0 and 1; in a call, samples have several sizes in the
+            end.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> children = [K.augmentation.RandomInvert(p=1.0), K.augmentation.RandomBrightness((0.5, 0.5), p=1.0)]
+        >>> K.augmentation.RandomApply(children, p=0.5)(torch.ones(4, 1, 1, 1), seed=0).flatten()
+        tensor([0., 0., 1., 0.])
+    """
+
+    def __init__(
+        self,
+        *children: Any,
+        p: float = 0.5,
+        same_on_batch: bool | None = None,
+        keepdim: bool | None = None,
+        generator: Generator | None = None,
+        return_transform: bool | None = None,
+    ) -> None:
+        own: dict[str, Any] = {"p": p}
+        options = {"same_on_batch": same_on_batch, "keepdim": keepdim, "return_transform": return_transform}
+        super().__init__(*positional("RandomApply", children, ("p",), own), **own, **options, generator=generator)
+        self._keep_arguments(**own, **options, generator=generator)
+
+    def _sequence(self, drawn: Sequence[float]) -> Sequence[int]:
+        return (0,)
+
+    def _units(self, children: Sequence[Child]) -> list[Sequence[Child]]:
+        return [children] if children else []
+
+
+def _weight(child: Any) -> float:
+    """The probability of a child, 1 where it has none."""
+    if isinstance(child, AugmentationBase):
+        return child.p * child.p_batch
+    return float(child.p) if isinstance(child, ChoiceBase) else 1.0

@@ -1,0 +1,151 @@
+"""The base of containers that choose the children of each sample."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from torch import Generator, Tensor, nn
+
+from kvision import _check
+from kvision.augmentation.columns import DrawPlan, plan_draws
+from kvision.augmentation.draws import Draw, Request, uniform
+from kvision.augmentation.engine.image_sequential import ImageSequential, ParamItem
+from kvision.augmentation.engine.record import Child
+from kvision.augmentation.engine.runs import CallContext
+from kvision.augmentation.engine.turns import Turn, turns_of
+from kvision.augmentation.keys import check_seeds, draw_keys, refuse_capture, refuse_graphs, refuse_mapped
+from kvision.core.exceptions import TypeCheckError, ValueCheckError
+
+_CHOICE = 1 << 20  # the position in the chain of draws that choose children, behind those of all augmentations
+
+
+class ChoiceBase(ImageSequential):
+    """Base of the containers that choose children for each sample.
+
+    The host draws the choices, so that nothing waits for the device and no child runs that no sample has. The samples that get a
+    child are one batch, with draws of their own. Of images that children change in size, all samples must have one size in the end.
+
+    Args:
+        *children: augmentations, other containers, or any modules of images that do not mix samples; or one list of them.
+        p: probability that a sample gets children at all.
+        same_on_batch: all samples get the same children and parameters.
+        keepdim: if not None, that of all children.
+        generator: draws the keys of each call; default: torch's generator.
+        return_transform: calls return the image and the product of the matrices.
+    """
+
+    takes_lists = False
+    children_are_certain = False  # a chosen child is executed, whatever its own p says
+
+    def __init__(
+        self,
+        *children: Any,
+        p: float = 1.0,
+        same_on_batch: bool | None = None,
+        keepdim: bool | None = None,
+        generator: Generator | None = None,
+        return_transform: bool | None = None,
+    ) -> None:
+        options = {"keepdim": keepdim, "generator": generator, "return_transform": return_transform}
+        super().__init__(*children, same_on_batch=same_on_batch, **options)  # type: ignore[arg-type]
+        op = type(self).__name__
+        self.p = _check.number(op, "p", p, minimum=0.0)
+        if self.p > 1:
+            raise ValueCheckError(f"{op}: expected p within 0 and 1, got {p}")
+        if not children:
+            raise ValueCheckError(f"{op}: expected at least one child")
+        for module in self.modules():
+            if getattr(module, "mixes_samples", False):
+                raise ValueCheckError(
+                    f"{op}: expected children that keep samples apart, got {type(module).__name__}; "
+                    "ImageSequential(..., random_apply=1) chooses one for the whole batch"
+                )
+
+    def _keep_arguments(self, **settings: Any) -> None:
+        """Keep the arguments by name, and the children as they are, however they were passed."""
+        self.__dict__["_arguments"] = (tuple(self.children()), settings)
+
+    def extra_repr(self) -> str:
+        return f"p={self.p}"
+
+    # --- what subclasses say ---
+
+    def _draws(self) -> list[Draw]:
+        """What is drawn for a sample that gets children."""
+        return []
+
+    def _sequence(self, drawn: Sequence[float]) -> Sequence[int]:
+        """The numbers of the units that a sample gets, one after the other, for what was drawn."""
+        raise NotImplementedError
+
+    # --- a call ---
+
+    def _in_turns(
+        self, x: Tensor, params: Sequence[ParamItem] | None, context: CallContext
+    ) -> tuple[list[Turn], CallContext]:
+        if isinstance(x, list):
+            raise TypeCheckError(f"{context.op}: expected a batch for {type(self).__name__}, got a list of images")
+        if params is not None:
+            children = self._children_of_call(params, context)
+            turns = self._turns_of_params(children, len(x))
+            return turns, context._replace(is_certain=False)
+        if context.frames == 1 and context.time:  # frames with parameters of their own are samples
+            context = context._replace(seed=context.seed_of_samples, time=0)
+        sequences = self._sequences(len(x) // context.frames, context)
+        units = self._units([Child(name, module) for name, module in self.named_children()])
+        turns = turns_of(units, sequences, context.frames, context.position)
+        return turns, context._replace(is_certain=self.children_are_certain)
+
+    def _sequences(self, samples: int, context: CallContext) -> list[Sequence[int]]:
+        """The numbers of the units of each sample."""
+        op = type(self).__name__
+        refuse_graphs(op)
+        refuse_capture(op)
+        keys = draw_keys(op, 1, torch.device("cpu"), context.seed, context.generator_of(self))
+        refuse_mapped(op, keys.keys if keys.seeds is None else keys.seeds)
+        check_seeds(op, keys, samples)
+        keys = keys.cpu()
+        plan = self._draw_plan(keys.has_seed, context.position + _CHOICE)
+        rows = plan.draw(torch.empty(samples, device="cpu"), keys).tolist()
+        p = 1.0 if context.is_certain else self.p
+        return [self._sequence(drawn) if chance < p else () for chance, *drawn in rows]
+
+    def _draw_plan(self, has_seed: bool, position: int) -> DrawPlan:
+        key = ("choice", has_seed, position)
+        plan: DrawPlan | None = self._plans.get(key)
+        if plan is None:
+            request = Request([uniform(0.0, 1.0), *self._draws()], same_on_batch=bool(self.same_on_batch))
+            (plan,) = plan_draws([request], has_seed, position if has_seed else 0)
+            self._plans.keep(key, plan)
+        return plan
+
+    def _inside(self, context: CallContext) -> CallContext:
+        return super()._inside(context)._replace(is_certain=context.is_certain)
+
+    def forward_parameters(self, batch_shape: Sequence[int]) -> list[ParamItem]:
+        """Draw the parameters of a call on images of a shape, by a call on black ones, whose sizes depend on what is drawn."""
+        images = torch.zeros(1, device="cpu").expand(tuple(batch_shape))
+        return self._read_params(self._execute(images, None, self._context(None, None))[1])
+
+
+def positional(
+    op: str, arguments: Sequence[Any], names: Sequence[str], settings: dict[str, Any]
+) -> Sequence[nn.Module]:
+    """The children of a container that takes them as arguments, or as one list, and then settings by their positions.
+
+    `settings` are those by name, and get those by position.
+    """
+    if not arguments or not isinstance(arguments[0], (list, tuple, nn.ModuleList)):
+        return arguments
+    children, *rest = arguments
+    if len(rest) > len(names):
+        raise TypeCheckError(
+            f"{op}: expected at most {len(names)} arguments behind the list of children, got {len(rest)}"
+        )
+    settings.update(zip(names, rest))
+    return list(children)
+
+
+__all__ = ["ChoiceBase", "positional"]

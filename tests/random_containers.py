@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
@@ -104,6 +104,13 @@ PHOTOMETRIC_3D: list[Maker] = [
     lambda p, s: A.RandomMotionBlur3D((3, 5), 20.0, 0.5, p=p),
 ]
 
+CHOICES: list[Any] = [
+    A.OneOf,
+    lambda *children: A.SomeOf(*children, n=(0, 2), replace=True),
+    A.RandomOrder,
+    A.RandomApply,
+]
+
 
 @dataclass
 class Case:
@@ -150,8 +157,10 @@ class Pool:
         drawn: list[nn.Module] = []
         for _ in range(rng.randint(1, 3)):
             if depth > 1 and rng.random() < 0.4:
-                inner = self.children(rng, depth - 1, p, geometric, moves_only)
-                drawn.append(rng.choice([A.ImageSequential, A.AugmentationSequential])(*inner))
+                make = rng.choice([A.ImageSequential, A.AugmentationSequential, *CHOICES])
+                pool = replace(self, changes=[]) if make in CHOICES else self  # all samples end with one size
+                inner = pool.children(rng, depth - 1, p, geometric, moves_only)
+                drawn.append(make(*inner))
                 continue
             kinds = self.moves + ([] if p == 0 else self.changes) + ([] if moves_only else self.colors)
             kind = rng.choice(kinds)

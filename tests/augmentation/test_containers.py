@@ -229,8 +229,9 @@ def test_random_apply() -> None:
         lambda: A.RandomCrop((9, 9), p=0.5),
         lambda: A.ImageSequential(A.RandomHorizontalFlip(), A.RandomCrop((9, 9), p=0.5)),
         lambda: A.ImageSequential(A.RandomHorizontalFlip(), A.RandomInvert(), random_apply=1),
+        lambda: A.OneOf(A.RandomHorizontalFlip(), A.RandomInvert()),
     ],
-    ids=["crop", "crop in a chain", "random_apply"],
+    ids=["crop", "crop in a chain", "random_apply", "OneOf"],
 )
 def test_choices_of_sizes_and_modules_are_not_captured(make: Any, device: torch.device) -> None:
     if device.type != "cuda":
@@ -458,17 +459,18 @@ def test_choices_of_the_host_have_no_graph() -> None:
     torch.compiler.reset()
     blur, x = A.RandomMotionBlur((3, 7), 30.0, 0.5, p=1.0), images()
     chain = A.ImageSequential(A.RandomInvert(p=1.0), A.RandomHorizontalFlip(p=1.0), random_apply=True)
-    for augment in (chain, blur, A.RandomCrop((8, 8), p=0.5), A.RandomRotation(30.0, expand=True)):
+    one = A.OneOf(A.RandomInvert(), A.RandomHorizontalFlip())
+    for augment in (chain, one, blur, A.RandomCrop((8, 8), p=0.5), A.RandomRotation(30.0, expand=True)):
         sentence = f"{type(augment).__name__}: a random choice that changes sizes or modules is made on the host"
         with pytest.raises(RuntimeError, match=sentence):
             torch.compile(augment, fullgraph=True, backend="eager")(x)
     results = []
-    for call in (chain, torch.compile(chain, backend="eager")):
+    for call in (chain, torch.compile(chain, backend="eager"), one, torch.compile(one, backend="eager")):
         torch.manual_seed(1)
         results.append(call(x))
-    torch.testing.assert_close(*results)
-    one = torch.compile(lambda x: chain(x, seed=4), fullgraph=True, backend="eager")
-    assert torch.equal(one(x), chain(x, seed=4))  # chosen when it is compiled
+    torch.testing.assert_close(results[::2], results[1::2])
+    by_seed = torch.compile(lambda x: chain(x, seed=4), fullgraph=True, backend="eager")
+    assert torch.equal(by_seed(x), chain(x, seed=4))  # chosen when it is compiled
 
 
 @pytest.mark.tracing
@@ -608,6 +610,7 @@ WITH_MATRICES = {
     "RandAugment": lambda **options: A.auto.RandAugment(2, 9, **options),
     "TrivialAugment": lambda **options: A.auto.TrivialAugment(**options),
     "AugMix": lambda **options: A.auto.AugMix(**options),
+    "OneOf": lambda **options: A.OneOf(A.RandomRotation(30.0), A.RandomInvert(), A.RandomHorizontalFlip(), **options),
     "AdaptiveDiscriminatorAugmentation": lambda **options: A.presets.ada.AdaptiveDiscriminatorAugmentation(
         A.RandomAffine(30.0, p=1.0), initial_p=0.5, **options
     ),
@@ -707,7 +710,9 @@ def test_children_and_kernel_sizes_follow_the_seeds_of_samples(grid: bool, devic
         assert all(torch.equal(a, b[order]) for a, b in zip(part, whole))
     if not grid:
         changed = A.ImageSequential(A.CenterCrop(8), A.RandomInvert(), random_apply=1)
-        with pytest.raises(ValueError, match="expected children that give all samples one size, got .8, 8. and .16, 20."):
+        with pytest.raises(
+            ValueError, match="expected children that give all samples one size, got .8, 8. and .16, 20."
+        ):
             changed(x, seed=seeds)
 
 

@@ -69,6 +69,8 @@ MADE = {
     "RandomJigsaw": functools.partial(A.RandomJigsaw, (2, 2)),
     "once": lambda: A.ImageSequential(A.RandomAffine(30.0), A.RandomPerspective(), resample="once"),
     "random_apply": lambda: A.ImageSequential(A.RandomAffine(30.0), A.RandomJPEG(), random_apply=1),
+    "OneOf": lambda: A.OneOf(A.RandomAffine(30.0), A.RandomJPEG(), A.RandomInvert()),
+    "RandomOrder": lambda: A.RandomOrder(A.RandomAffine(30.0), A.RandomInvert()),
 }
 
 

@@ -30,6 +30,11 @@ PIPELINES: dict[str, Any] = {
         memory_format=torch.channels_last,
         same_on_batch=True,
     ),
+    "choices": lambda: A.ImageSequential(
+        A.OneOf([A.RandomInvert(p=0.2), A.RandomHorizontalFlip(p=0.7)], 0.9),
+        A.SomeOf([A.RandomAffine(30.0), A.RandomInvert()], (0, 3), True, 0.9, order=False, same_on_batch=False),
+        A.RandomOrder(A.RandomInvert(), A.RandomApply([A.RandomJPEG(), A.Normalize(0.5, 0.5)], p=0.25), keepdim=True),
+    ),
     "policies": lambda: A.ImageSequential(
         A.auto.RandAugment(2, 9), A.auto.AugMix(2), A.auto.PolicyAugmentBase([[("invert", 1.0, 0.0, 0.0)]])
     ),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
 from itertools import accumulate
 from typing import Any
@@ -21,7 +21,8 @@ class OneOf(ChoiceBase):
     """Run one child for each sample, drawn by the probabilities of the children.
 
     The `p` of a child, times its `p_batch`, is its weight; a child without one has the weight 1. The child that a sample gets
-    augments it for certain. Samples with the same child are one batch, and a child that no sample gets does not run.
+    augments it for certain; if all weights are 0, no sample gets one. Samples with the same child are one batch, and a child that
+    no sample gets does not run.
 
     Args:
         *children: augmentations, other containers, or any modules of images that do not mix samples; or one list of them, which
@@ -34,8 +35,8 @@ class OneOf(ChoiceBase):
 
     Raises:
         TypeError: a child is not a module.
-        ValueError: there is no child; one mixes samples; `p` is not within 0 and 1; in a call, no child has a `p` above 0, or
-            samples have several sizes in the end.
+        ValueError: there is no child; one mixes samples; `p` is not within 0 and 1; in a call, samples have several sizes in the
+            end.
 
     Example:
         >>> import torch, kvision as K
@@ -68,15 +69,16 @@ class OneOf(ChoiceBase):
 
     def _sequence(self, drawn: Sequence[float]) -> Sequence[int]:
         sums = self._sums_of_weights()
-        return (bisect_right(sums, drawn[0] * sums[-1]),)
+        if sums[-1] == 0:
+            return ()
+        last = bisect_left(sums, sums[-1])  # that has a weight, for a number that is rounded to 1
+        return (min(bisect_right(sums, drawn[0] * sums[-1]), last),)
 
     def _sums_of_weights(self) -> list[float]:
-        """The sums of the weights up to each child; the last one is above all draws of the one before it."""
+        """The sums of the weights up to each child."""
         sums: list[float] | None = self._plans.get("weights")
         if sums is None:
             sums = list(accumulate(map(_weight, self.children())))
-            if sums[-1] <= 0:
-                raise ValueCheckError("OneOf: expected a child with p above 0")
             self._plans.keep("weights", sums)
         return sums
 

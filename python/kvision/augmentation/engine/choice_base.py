@@ -110,7 +110,7 @@ class ChoiceBase(ImageSequential):
         plan = self._draw_plan(keys.has_seed, context.position + _CHOICE)
         rows = plan.draw(torch.empty(samples, device="cpu"), keys).tolist()
         p = 1.0 if context.is_certain else self.p
-        return [self._sequence(drawn) if chance < p else () for chance, *drawn in rows]
+        return [self._sequence(drawn) if p == 1 or chance < p else () for chance, *drawn in rows]
 
     def _draw_plan(self, has_seed: bool, position: int) -> DrawPlan:
         key = ("choice", has_seed, position)

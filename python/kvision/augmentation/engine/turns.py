@@ -110,9 +110,13 @@ def read_rows(x: Tensor, rows: Sequence[int]) -> Tensor:
     if rows[-1] - first == count - 1 and all(row == first + i for i, row in enumerate(rows)):
         return x if count == len(x) else x[first : first + count]
     index = _index(rows, x)
-    if x.dim() == 4 and not x.is_contiguous() and x.is_contiguous(memory_format=torch.channels_last):
+    if _is_channels_last(x):
         return x.permute(0, 2, 3, 1).index_select(0, index).permute(0, 3, 1, 2)
     return x.index_select(0, index)
+
+
+def _is_channels_last(x: Tensor) -> bool:
+    return x.dim() == 4 and not x.is_contiguous() and x.is_contiguous(memory_format=torch.channels_last)
 
 
 def _index(rows: Sequence[int], like: Tensor) -> Tensor:
@@ -127,8 +131,7 @@ def _interleaved(tensors: Sequence[Tensor], positions: Sequence[Sequence[int]]) 
     if needs_graph or not has_one_type or in_function_transform():
         order = torch.tensor([at for part in positions for at in part], device="cpu").argsort()
         return read_rows(torch.cat(list(tensors)), order.tolist())
-    is_last = first.dim() == 4 and first.is_contiguous(memory_format=torch.channels_last)
-    layout = torch.channels_last if is_last and not first.is_contiguous() else torch.contiguous_format
+    layout = torch.channels_last if _is_channels_last(first) else torch.contiguous_format
     shape = (sum(map(len, positions)), *first.shape[1:])
     y = torch.empty(shape, dtype=dtype, device=first.device, memory_format=layout)
     for tensor, rows in zip(tensors, positions):
@@ -168,6 +171,8 @@ def execute_turns(x: Tensor, turns: Sequence[Turn], context: CallContext) -> tup
     """
     if x.dtype == torch.uint8 and any(_leaves_bytes(child.module) for turn in turns for child in turn.children):
         x = to_unit(x)  # for all batches, whoever wants that child
+    if not x.is_contiguous() and not _is_channels_last(x):
+        x = x.contiguous()  # other strides would be those of some groups of samples and not of others
     rows, batch = SampleRows(x), len(x)
     stages: list[Stage] = []
     executed: list[Child] = []

@@ -1,0 +1,245 @@
+"""Tests of the containers that choose the children of each sample."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor, nn
+
+import kvision.augmentation as A
+from kvision.augmentation.engine.turns import plan_turns
+
+CHOICES: dict[str, Callable[..., Any]] = {
+    "OneOf": A.OneOf,
+    "SomeOf": lambda *children, **options: A.SomeOf(*children, n=(1, 3), **options),
+    "SomeOf, drawn again": lambda *children, **options: A.SomeOf(*children, n=2, replace=True, order=False, **options),
+    "RandomOrder": A.RandomOrder,
+    "RandomApply": A.RandomApply,
+}
+
+
+def children() -> list[nn.Module]:
+    return [
+        A.RandomAffine(30.0, p=0.7),
+        A.RandomInvert(p=0.7),
+        A.ImageSequential(A.RandomElasticTransform((5, 5), (2.0, 2.0)), A.RandomJPEG(p=1.0)),
+        A.OneOf(A.RandomVerticalFlip(), A.RandomGaussianBlur((3, 3), (0.5, 1.0))),
+        A.RandomMotionBlur((3, 7), 35.0, 0.5, p=0.7),
+    ]
+
+
+def images(device: torch.device, batch: int = 8, dtype: torch.dtype = torch.float32) -> Tensor:
+    x = torch.rand(batch, 3, 16, 20, generator=torch.Generator().manual_seed(batch)).to(device)
+    return (255 * x).to(dtype) if dtype == torch.uint8 else x.to(dtype)
+
+
+class Count(nn.Module):
+    """Keeps images, and counts those that it gets in each call."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.calls: list[int] = []
+
+    def forward(self, x: Tensor) -> Tensor:
+        self.calls.append(len(x))
+        return x
+
+
+BOTH = [*((name, torch.float32) for name in CHOICES), ("RandomOrder", torch.uint8)]
+
+
+@pytest.mark.parametrize(("name", "dtype"), BOTH, ids=str)
+def test_samples_depend_on_their_seeds_alone(name: str, dtype: torch.dtype, device: torch.device) -> None:
+    """With labels, in any batch and order; replay gives the same, and the inverse brings all of it back."""
+    x, seeds = images(device, dtype=dtype), torch.arange(8) + 70
+    boxes = torch.tensor([[3.0, 4.0, 11.0, 12.0]], device=device).expand(8, 1, 4)
+    inputs = [x, x[:, :1] > 0.5, boxes, 10 * torch.rand(8, 2, 2, device=device), torch.arange(8)]
+    keys = ["image", "mask", "bbox_xyxy", "keypoints", "class"]
+    augment = A.AugmentationSequential(A.RandomHorizontalFlip(), CHOICES[name](*children()), data_keys=keys)
+    outputs = augment(*inputs, seed=seeds)
+    matrix, params = augment.transform_matrix, augment._params
+    assert all(torch.equal(a, b) for a, b in zip(augment(*inputs, params=params), outputs))
+    assert torch.equal(augment.transform_matrix, matrix)
+    back = augment.inverse(*outputs)
+    assert [value.shape for value in back] == [value.shape for value in inputs]
+    assert torch.equal(augment.inverse(outputs[0], params=params, data_keys=["image"]), back[0])
+    for order in (torch.tensor([5, 2, 7, 0]), torch.tensor([6])):
+        part = augment(*(value[order.to(value.device)] for value in inputs), seed=seeds[order])
+        assert all(torch.equal(a, b[order.to(b.device)]) for a, b in zip(part, outputs))
+    assert torch.equal(augment(*inputs, seed=3)[0], augment(*inputs, seed=3)[0])
+
+
+@pytest.mark.parametrize("name", CHOICES)
+def test_nothing_changes_at_p_0(name: str, device: torch.device) -> None:
+    for dtype in (torch.float32, torch.uint8):
+        x, augment = images(device, dtype=dtype), CHOICES[name](*children(), p=0.0)
+        assert torch.equal(augment(x), x) and augment._params == [] and torch.equal(augment(x, params=[]), x)
+        assert torch.equal(augment.transform_matrix, torch.eye(3).expand(8, 3, 3))
+
+
+def test_each_sample_is_what_its_child_gives(device: torch.device) -> None:
+    x, seeds = images(device, 40), torch.arange(40)
+    augment = A.OneOf(A.RandomAffine(30.0), A.RandomInvert(), A.Normalize(0.5, 0.5), p=0.8)
+    y, expected, counts = augment(x, seed=seeds), x.clone(), torch.zeros(40)
+    for item in augment._params:
+        child = dict(augment.named_children())[item.name]
+        assert item.data["batch_prob"].all() and len(item.data["batch_prob"]) == item.samples.sum()
+        expected[item.samples] = child(x[item.samples], params=item.data)
+        counts += item.samples
+    assert torch.equal(y, expected) and counts.max() == 1 and 25 < counts.sum() < 40
+    stored = augment(images(device, 40, torch.uint8), seed=seeds)
+    torch.testing.assert_close(stored, augment(images(device, 40, torch.uint8) / 255, seed=seeds))
+
+
+def test_children_run_for_their_samples_alone() -> None:
+    x, counts = torch.rand(64, 1, 2, 2), [Count(), Count(), Count()]
+    A.OneOf(*counts)(x)
+    assert all(len(count.calls) == 1 for count in counts) and sum(count.calls[0] for count in counts) == 64
+    counts = [Count(), Count(), Count()]
+    A.SomeOf(*counts, n=2)(x)
+    assert all(len(count.calls) == 1 for count in counts) and sum(count.calls[0] for count in counts) == 128
+    never = Count()
+    A.OneOf(A.RandomInvert(p=1.0), A.RandomApply(never, p=0.0))(x)
+    assert never.calls == []
+    same = Count()
+    A.OneOf(same, Count(), same_on_batch=True)(x, seed=1)
+    assert same.calls in ([], [64])
+
+
+def names_of_samples(augment: Any, x: Tensor) -> list[list[str]]:
+    """The children of each sample, in their order."""
+    augment(x, seed=torch.arange(len(x)))
+    names: list[list[str]] = [[] for _ in range(len(x))]
+    for item in augment._params:
+        for sample in item.samples.nonzero()[:, 0].tolist():
+            names[sample].append(item.name[-1])
+    return names
+
+
+def test_frequencies() -> None:
+    """Weights of OneOf; all subsets, orders and numbers of the others alike."""
+    x, n = torch.zeros(3000, 1, 1, 1), 3000
+
+    def shares(augment: Any) -> dict[str, float]:
+        names = [
+            "".join(sorted(of_sample) if isinstance(augment, A.OneOf) else of_sample)
+            for of_sample in names_of_samples(augment, x)
+        ]
+        return {name: names.count(name) / n for name in sorted(set(names))}
+
+    three = [A.RandomInvert(p=0.2), A.RandomHorizontalFlip(p=0.6), A.ImageSequential(A.RandomInvert(p=1.0))]
+    expected: list[tuple[Any, dict[str, float]]] = [
+        (A.OneOf(*three, p=0.9), {"": 0.1, "0": 0.1, "1": 0.3, "2": 0.5}),
+        (A.SomeOf(*three, n=2), {"01": 1 / 3, "02": 1 / 3, "12": 1 / 3}),
+        (A.SomeOf(three, (0, 1)), {"": 0.5, "0": 1 / 6, "1": 1 / 6, "2": 1 / 6}),
+        (A.SomeOf(three[:2], 2, True), {"00": 0.25, "01": 0.5, "11": 0.25}),
+        (A.SomeOf(three[:2], n=2, replace=True, order=False), dict.fromkeys(("00", "01", "10", "11"), 0.25)),
+        (A.RandomOrder(three), dict.fromkeys(("012", "021", "102", "120", "201", "210"), 1 / 6)),
+        (A.RandomApply(three[:2], 0.3), {"": 0.7, "01": 0.3}),
+    ]
+    for augment, wanted in expected:
+        drawn = shares(augment)
+        assert drawn.keys() == wanted.keys() and all(abs(drawn[name] - wanted[name]) < 0.04 for name in wanted)
+
+
+def test_some_children_have_their_own_p() -> None:
+    x = torch.zeros(1000, 1, 1, 1)
+    assert A.OneOf(A.RandomInvert(p=0.1))(x).mean() == 1  # for certain
+    assert A.OneOf(A.RandomInvert(p=0.0))(x).mean() == 0
+    for augment in (
+        A.SomeOf(A.RandomInvert(p=0.3)),
+        A.RandomOrder(A.RandomInvert(p=0.3)),
+        A.RandomApply(A.RandomInvert(p=0.3), p=1.0),
+    ):
+        assert 0.2 < augment(x, seed=4).mean() < 0.4
+
+
+def test_turns_take_each_child_once_where_the_order_allows() -> None:
+    turns = [(turn.number, turn.samples) for turn in plan_turns([[0, 2], [1, 2], [], [1]])]
+    assert turns == [(1, [1, 3]), (0, [0]), (2, [0, 1])]
+    again = plan_turns([[0, 0, 1], [1, 0]])
+    assert [(t.number, t.occurrence) for t in again if 0 in t.samples] == [(0, 0), (0, 1), (1, 0)]
+    assert [t.number for t in again if 1 in t.samples] == [1, 0]
+
+
+def test_sizes(device: torch.device) -> None:
+    """Children may change the size if all samples have one size in the end; labels follow."""
+    x, points = images(device), 8 * torch.rand(8, 2, 2, device=device)
+    crops = A.OneOf(A.RandomCrop((9, 9)), A.CenterCrop((9, 9)), A.ImageSequential(A.Resize((9, 9)), A.RandomInvert()))
+    augment = A.AugmentationSequential(crops, data_keys=["image", "mask", "keypoints"])
+    outputs = augment(x, x, points, seed=2)
+    assert outputs[0].shape == outputs[1].shape == (8, 3, 9, 9)
+    back = augment.inverse(*outputs)
+    assert back[0].shape == back[1].shape == x.shape
+    torch.testing.assert_close(back[2], points, atol=1e-4, rtol=0)
+    assert all(torch.equal(a, b) for a, b in zip(augment(x, x, points, params=augment._params), outputs))
+    order = A.RandomOrder(A.RandomCrop((9, 9)), A.RandomHorizontalFlip(p=1.0))
+    assert order(x).shape == (8, 3, 9, 9) and order.inverse(order(x)).shape == x.shape
+    with pytest.raises(
+        ValueError, match=r"OneOf: .* that give all samples one size, got \(\d+, \d+\) and \(\d+, \d+\)"
+    ):
+        A.OneOf(A.CenterCrop((9, 9)), A.RandomInvert())(x, seed=1)
+
+
+def test_gradients_and_layouts(device: torch.device) -> None:
+    augment, x = A.OneOf(A.RandomRotation(30.0), A.RandomBrightness((0.5, 0.8)), p=0.9), images(device)
+    leaf = x.clone().requires_grad_()
+    y = augment(leaf, seed=3)
+    assert torch.equal(y, augment(x, seed=3))
+    y.square().sum().backward()
+    singles = x.clone().requires_grad_()
+    torch.cat([augment(singles, params=augment._params)[i : i + 1] for i in range(8)]).square().sum().backward()
+    torch.testing.assert_close(leaf.grad, singles.grad)
+    last = augment(x.contiguous(memory_format=torch.channels_last), seed=3)
+    assert last.is_contiguous(memory_format=torch.channels_last)
+    torch.testing.assert_close(last, augment(x, seed=3), atol=1e-6, rtol=0)
+
+
+def test_vmap(device: torch.device) -> None:
+    augment, x = A.OneOf(A.RandomRotation(30.0), A.RandomInvert(), p=0.9), images(device).unflatten(0, (2, 4))
+    expected = torch.stack([augment(element, seed=5) for element in x])
+    torch.testing.assert_close(torch.func.vmap(lambda element: augment(element, seed=5))(x), expected)
+    assert torch.func.vmap(augment, randomness="same")(x).shape == x.shape
+    for seed in (None, torch.arange(2, device=device)):
+        with pytest.raises(RuntimeError, match="OneOf: a random choice that changes sizes or modules cannot differ"):
+            torch.func.vmap(
+                lambda element, n: augment(element, seed=n), (0, None if seed is None else 0), randomness="different"
+            )(x, seed)
+
+
+def test_videos(device: torch.device) -> None:
+    x = images(device, 3)[:, None].expand(-1, 4, -1, -1, -1)
+    seeds = torch.arange(3) + 5
+    for same, counts in ((True, {1}), (False, {1, 2})):
+        video = A.VideoSequential(A.OneOf(A.RandomHorizontalFlip(), A.RandomInvert()), same_on_frame=same)
+        y = video(x, seed=seeds)
+        assert torch.equal(video(x[1:2], seed=seeds[1:2]), y[1:2])
+        assert max(len(of_video.unique(dim=0)) for of_video in y) in counts
+
+
+def test_wrong_arguments() -> None:
+    invert = A.RandomInvert()
+    for make, message in (
+        (lambda: A.OneOf(), "OneOf: expected at least one child"),
+        (lambda: A.OneOf(invert, p=1.5), "OneOf: expected p within 0 and 1, got 1.5"),
+        (lambda: A.SomeOf(invert, n=2), "SomeOf: expected n .*at most 1, the number of children, got 2"),
+        (lambda: A.SomeOf(invert, n=(1, 0)), "SomeOf: expected n to be a number or the lowest and the highest"),
+        (lambda: A.OneOf(A.RandomMixUpV2()), "OneOf: expected children that keep samples apart, got RandomMixUpV2"),
+        (lambda: A.OneOf(invert)(torch.rand(2, 3, 4, 4), seed=torch.arange(3)), "OneOf: expected seeds of 2 samples"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            make()
+    for make, message in (
+        (lambda: A.OneOf([invert], 0.5, 3), "OneOf: expected at most 1 arguments behind the list of children, got 2"),
+        (lambda: A.RandomOrder(invert, 3), "RandomOrder: expected children to be modules, got int"),
+    ):
+        with pytest.raises(TypeError, match=message):
+            make()
+    filtered = A.OneOf(A.AugmentationSequential(A.RandomHorizontalFlip(), min_box_area=3.0), invert)
+    with pytest.raises(ValueError, match="expected containers that filter no boxes inside of a choice"):
+        A.AugmentationSequential(filtered, data_keys=["image", "bbox_xyxy"])(
+            torch.rand(9, 3, 8, 8), torch.rand(9, 1, 4)
+        )

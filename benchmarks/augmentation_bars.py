@@ -2,7 +2,8 @@
 
 Milliseconds of the device for a batch, forward and forward + backward of a `sum()`. Microseconds of the host for one image and for
 the batch, parameters included. Launches, and kilobytes of memory beyond the results, of a forward call. Bars are for an NVIDIA
-H200. What misses its bar has an exclamation mark.
+H200; those of choices (`OneOf`) follow from the times of their children in the same run. What misses its bar has an exclamation
+mark.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from benchmarks import kernels, machine
 from benchmarks.augmentation import JITTER, MEAN, STD, pipeline_b
 from benchmarks.case import photographs
 from benchmarks.host_time import microseconds
-from benchmarks.timing import clock, extra_bytes, launches
+from benchmarks.timing import Clock, clock, extra_bytes, launches
 from kvision._modes import INTERPOLATION
 from kvision.geometry.transform.resize_windows import resized_windows
 
@@ -40,6 +41,10 @@ class Pipeline(NamedTuple):
     stored: torch.dtype = torch.float32
     has_masks: bool = False
     differentiable: bool = True
+    # Of a choice: its children. The bar is `factor` times the mean of their times for the batch, or the sum for their shares of it.
+    children: Callable[[], Sequence[torch.nn.Module]] | None = None
+    factor: float = 1.0
+    of_shares: bool = False
 
 
 def pipeline_a(side: int, *color: torch.nn.Module, antialias: bool = False, **options: Any) -> A.ImageSequential:
@@ -88,6 +93,33 @@ class AntialiasedCrop:
         return resized
 
 
+def color_children() -> list[torch.nn.Module]:
+    return [
+        A.RandomBrightness((0.8, 1.2), p=1.0),
+        A.RandomSaturation((0.8, 1.2), p=1.0),
+        A.RandomHue((-0.1, 0.1), p=1.0),
+        A.RandomGamma((0.8, 1.2), p=1.0),
+        A.RandomInvert(p=1.0),
+    ]
+
+
+def warp_children() -> list[torch.nn.Module]:
+    return [
+        A.RandomHorizontalFlip(p=1.0),
+        A.RandomAffine(30.0, (0.1, 0.1), (0.8, 1.2), 10.0, p=1.0),
+        A.RandomPerspective(0.5, p=1.0),
+    ]
+
+
+def mixed_children() -> list[torch.nn.Module]:
+    return [
+        A.RandomGaussianBlur((5, 5), (0.5, 2.0), p=1.0),
+        A.RandomElasticTransform((63, 63), (16.0, 16.0), p=1.0),
+        A.RandomEqualize(p=1.0),
+        A.RandomJPEG((20.0, 60.0), p=1.0),
+    ]
+
+
 LARGE, USUAL = (128, 3, 256, 256), (128, 3, 224, 224)
 PIPELINES = [
     Pipeline("A", pipeline_a, LARGE, 0.10, 0.25, 60),
@@ -106,6 +138,16 @@ PIPELINES = [
     Pipeline("D", lambda side: A.ColorJitter(*JITTER), USUAL, 0.085, host=35),
     Pipeline("AutoAugment", lambda side: A.auto.AutoAugment(), USUAL, 0.5),
     Pipeline("RandAugment(2, 9)", lambda side: A.auto.RandAugment(2, 9), USUAL, 0.5),
+    Pipeline("OneOf 5 colors", lambda side: A.OneOf(color_children()), USUAL, children=color_children, factor=1.3),
+    Pipeline("OneOf 3 warps", lambda side: A.OneOf(warp_children()), USUAL, 0.12, children=warp_children),
+    Pipeline(
+        "OneOf 4 others",
+        lambda side: A.OneOf(mixed_children()),
+        USUAL,
+        children=mixed_children,
+        factor=1.2,
+        of_shares=True,
+    ),
     Pipeline("video", of_videos, (8, 16, 3, 256, 256), 0.25),
 ]
 
@@ -125,6 +167,15 @@ def checked(measured: float, bar: float | None, digits: int) -> str:
     return f"{measured:.{digits}f}{'!' if measured > bar else ''} ({bar:g})"
 
 
+def bar_of_children(pipeline: Pipeline, images: Tensor, stopwatch: Clock) -> float:
+    """The bar of a choice in ms, by the times of its children in the same run."""
+    assert pipeline.children is not None
+    children = pipeline.children()
+    part = images[: len(images) // len(children)] if pipeline.of_shares else images
+    total = sum(1e3 * stopwatch.time(lambda child=child: child(part)).median for child in children)  # type: ignore[misc]
+    return pipeline.factor * (total if pipeline.of_shares else total / len(children))
+
+
 def row(pipeline: Pipeline, device: torch.device, seconds: float) -> str:
     augment, inputs = pipeline.make(pipeline.size[-1]), inputs_of(pipeline, device)
     one = [x[:1].contiguous() for x in inputs]
@@ -138,7 +189,10 @@ def row(pipeline: Pipeline, device: torch.device, seconds: float) -> str:
         return torch.autograd.grad((result[0] if pipeline.has_masks else result).sum(), leaf)
 
     stopwatch = clock(device, seconds)
-    cells = [checked(1e3 * stopwatch.time(forward).median, pipeline.forward, 3)]
+    bar = pipeline.forward
+    if bar is None and pipeline.children is not None:
+        bar = bar_of_children(pipeline, inputs[0], stopwatch)
+    cells = [checked(1e3 * stopwatch.time(forward).median, bar, 3)]
     with torch.enable_grad():
         cells.append("-" if leaf is None else checked(1e3 * stopwatch.time(both).median, pipeline.both, 3))
     if device.type == "cuda":

@@ -60,7 +60,11 @@ class OneOf(ChoiceBase):
         return_transform: bool | None = None,
     ) -> None:
         own: dict[str, Any] = {"p": p}
-        options = {"same_on_batch": same_on_batch, "keepdim": keepdim, "return_transform": return_transform}
+        options: dict[str, Any] = {
+            "same_on_batch": same_on_batch,
+            "keepdim": keepdim,
+            "return_transform": return_transform,
+        }
         super().__init__(*positional("OneOf", children, ("p",), own), **own, **options, generator=generator)
         self._keep_arguments(**own, **options, generator=generator)
 
@@ -125,7 +129,11 @@ class SomeOf(ChoiceBase):
     ) -> None:
         own: dict[str, Any] = {"n": n, "replace": replace, "p": p}
         modules = positional("SomeOf", children, ("n", "replace", "p"), own)
-        options = {"same_on_batch": same_on_batch, "keepdim": keepdim, "return_transform": return_transform}
+        options: dict[str, Any] = {
+            "same_on_batch": same_on_batch,
+            "keepdim": keepdim,
+            "return_transform": return_transform,
+        }
         super().__init__(*modules, p=own["p"], **options, generator=generator)
         low, high = _check.ints("SomeOf", "n", own["n"], 2, minimum=0)
         self.replace, self.order = (
@@ -188,7 +196,11 @@ class RandomOrder(ChoiceBase):
         return_transform: bool | None = None,
     ) -> None:
         own: dict[str, Any] = {"p": p}
-        options = {"same_on_batch": same_on_batch, "keepdim": keepdim, "return_transform": return_transform}
+        options: dict[str, Any] = {
+            "same_on_batch": same_on_batch,
+            "keepdim": keepdim,
+            "return_transform": return_transform,
+        }
         super().__init__(*positional("RandomOrder", children, (), own), **own, **options, generator=generator)
         self._keep_arguments(**own, **options, generator=generator)
 
@@ -233,7 +245,11 @@ class RandomApply(ChoiceBase):
         return_transform: bool | None = None,
     ) -> None:
         own: dict[str, Any] = {"p": p}
-        options = {"same_on_batch": same_on_batch, "keepdim": keepdim, "return_transform": return_transform}
+        options: dict[str, Any] = {
+            "same_on_batch": same_on_batch,
+            "keepdim": keepdim,
+            "return_transform": return_transform,
+        }
         super().__init__(*positional("RandomApply", children, ("p",), own), **own, **options, generator=generator)
         self._keep_arguments(**own, **options, generator=generator)
 

@@ -297,7 +297,6 @@ class Turns(Chain):
         rows = SampleRows(x)
         everything = range(len(x))
         for stage in stages:
-            is_part = isinstance(stage, SomeSamples)
-            samples, own = (stage.samples, stage.stage) if is_part else (everything, stage)
+            samples, own = (stage.samples, stage.stage) if isinstance(stage, SomeSamples) else (everything, stage)
             rows.put(samples, move(own, rows.take(samples)))
         return rows.take(everything) if len(x) else x

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
 from itertools import accumulate
 from typing import Any
@@ -75,8 +74,8 @@ class OneOf(ChoiceBase):
         sums = self._sums_of_weights()
         if sums[-1] == 0:
             return ()
-        last = bisect_left(sums, sums[-1])  # that has a weight, for a number that is rounded to 1
-        return (min(bisect_right(sums, drawn[0] * sums[-1]), last),)
+        last = sums.index(sums[-1])  # that has a weight, for a number that is rounded to 1
+        return (min(sum(end <= drawn[0] * sums[-1] for end in sums), last),)
 
     def _sums_of_weights(self) -> list[float]:
         """The sums of the weights up to each child."""

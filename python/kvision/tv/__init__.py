@@ -5,6 +5,7 @@
 Samples of a batch (B, C, H, W) draw by themselves; :class:`SameOnBatch` draws once a call. See :doc:`/torchvision`.
 """
 
+from kvision import _torch_compat
 from kvision.tv import functional as functional
 from kvision.tv.color import (
     JPEG,
@@ -153,3 +154,5 @@ __all__ = [
     "TrivialAugmentWide",
     "UniformTemporalSubsample",
 ]
+
+_torch_compat.refuse_script(globals())

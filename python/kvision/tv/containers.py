@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
-from torch import Tensor, nn
+from torch import nn
 from torch.utils._pytree import tree_flatten, tree_unflatten
 
 from kvision.tv.transform import Transform, count_samples, draws_once, join, probability, split
@@ -30,8 +30,6 @@ class _Container(Transform):
 
     def forward(self, *inputs: Any) -> Any:
         sample = inputs if len(inputs) > 1 else inputs[0]
-        if type(sample) is Tensor and sample.dim() < 4:
-            return self._choose(sample)
         flat, spec = tree_flatten(sample)
         needed = self._needed(flat)
         samples = count_samples(flat, needed) if self.draws else 0

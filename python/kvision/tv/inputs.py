@@ -53,10 +53,13 @@ def _classify(cls: type) -> str:
 
 def wrap(output: Any, like: Any) -> Any:
     """A plain tensor as a tv_tensor of the class of `like`, with its format and canvas."""
-    if kind_of(like) not in TV_TENSORS:
+    kind = kind_of(like)
+    if kind not in TV_TENSORS:
         return output
     if isinstance(output, (tuple, list)):
         return type(output)(wrap(x, like) for x in output)
+    if kind in ("image", "video", "mask"):
+        return output.as_subclass(type(like))
     return type(like).wrap(output, like=like)
 
 

@@ -9,14 +9,25 @@ from contextvars import ContextVar
 from typing import Any
 
 import torch
-from torch import Tensor, nn
+from torch import nn
 from torch.utils._pytree import tree_flatten, tree_unflatten
 
 from kvision import _check
 from kvision.tv.functional.dispatch import takes
-from kvision.tv.inputs import EVERYTHING, LABELS, channels_of, height_and_width, kind_of, plain, wrap
+from kvision.tv.inputs import (
+    EVERYTHING,
+    IMAGES,
+    LABELS,
+    TV_TENSORS,
+    channels_of,
+    height_and_width,
+    kind_of,
+    plain,
+    wrap,
+)
 
-_EXPLICIT = ("image", "video", "pil")
+_EXPLICIT = frozenset({"image", "video", "pil"})
+_LEAVES = frozenset({"tensor", "array", "pil", *TV_TENSORS})
 _ALL_TENSORS = EVERYTHING | {"tv_tensor"}
 _once: ContextVar[bool] = ContextVar("kvision.tv draws once", default=False)
 
@@ -68,25 +79,21 @@ class Transform(nn.Module):
 
     def forward(self, *inputs: Any) -> Any:
         sample = inputs if len(inputs) > 1 else inputs[0]
-        if type(sample) is Tensor and "tensor" in self.kinds:  # most calls
-            self.check_inputs([sample])
-            if self.draws and sample.dim() > 3 and sample.shape[0] > 1 and not _once.get():
-                return self._each([sample], [True], sample.shape[0])[0]
-            return self._flat([sample], [True])[0]
-        flat, spec = tree_flatten(sample)
+        is_leaf = kind_of(sample) in _LEAVES  # needs no look for nested inputs
+        flat, spec = ([sample], None) if is_leaf else tree_flatten(sample)
         self.check_inputs(flat)
         needed = self._needed(flat)
         samples = count_samples(flat, needed) if self.draws else 0
-        return tree_unflatten(self._each(flat, needed, samples) if samples else self._flat(flat, needed), spec)
+        outputs = self._each(flat, needed, samples) if samples else self._flat(flat, needed)
+        return outputs[0] if is_leaf else tree_unflatten(outputs, spec)
 
     def _needed(self, flat: list[Any]) -> list[bool]:
         """Which inputs are transformed."""
         kinds = [kind_of(x) for x in flat]
-        takes_plain = not any(kind in _EXPLICIT for kind in kinds)
-        needed = []
-        for kind in kinds:
-            needed.append(kind in self.kinds and (kind != "tensor" or takes_plain))
-            takes_plain = takes_plain and not (kind == "tensor" and needed[-1])
+        needed = [kind in self.kinds for kind in kinds]
+        if len(kinds) > 1 and "tensor" in kinds and "tensor" in self.kinds:
+            first = -1 if not _EXPLICIT.isdisjoint(kinds) else kinds.index("tensor")
+            needed = [is_needed and (kinds[i] != "tensor" or i == first) for i, is_needed in enumerate(needed)]
         return needed
 
     def _flat(self, flat: list[Any], needed: list[bool]) -> list[Any]:
@@ -105,16 +112,18 @@ class Transform(nn.Module):
 
 def count_samples(flat: list[Any], needed: list[bool]) -> int:
     """How many samples draw by themselves: those of a batch of images or videos and their masks; 0 for a call as one."""
-    if _once.get():
-        return 0
-    sizes = set()
-    for x in (x for x, is_needed in zip(flat, needed) if is_needed):
+    samples = 0
+    for x, is_needed in zip(flat, needed):
+        if not is_needed:
+            continue
         kind = kind_of(x)
-        axes = {"video": 4, "mask": 2}.get(kind, 3)
-        if kind == "pil" or kind in LABELS or x.dim() <= axes:
+        if kind == "pil" or kind in LABELS or x.ndim <= _AXES.get(kind, 3) or samples not in (0, x.shape[0]):
             return 0
-        sizes.add(x.shape[0])
-    return sizes.pop() if len(sizes) == 1 and sizes != {1} else 0
+        samples = x.shape[0]
+    return 0 if samples == 1 or _once.get() else samples
+
+
+_AXES = {"video": 4, "mask": 2}  # of a sample; 3 for images
 
 
 def split(flat: list[Any], needed: list[bool], samples: int) -> Iterator[list[Any]]:
@@ -183,7 +192,7 @@ def size_of(flat: Sequence[Any]) -> tuple[int, int]:
 
 
 def channels_in(flat: Sequence[Any]) -> int:
-    channels = {channels_of(x) for x in flat if kind_of(x) in ("tensor", *_EXPLICIT)}
+    channels = {channels_of(x) for x in flat if kind_of(x) in IMAGES}
     if len(channels) == 1:
         return channels.pop()
     if not channels:

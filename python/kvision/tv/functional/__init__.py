@@ -1,5 +1,6 @@
 """torchvision.transforms.v2.functional by kvision's operators."""
 
+from kvision import _torch_compat
 from kvision.tv.functional.color import (
     adjust_brightness,
     adjust_contrast,
@@ -60,3 +61,5 @@ from kvision.tv.functional.values import (
     uniform_temporal_subsample,
 )
 from kvision.tv.inputs import pil_to_tensor, to_pil_image
+
+_torch_compat.refuse_script(globals())

@@ -59,6 +59,8 @@ def functional(
 def takes(function: Callable[..., Any], x: Any) -> bool:
     """Whether `function` changes inputs such as `x`; transforms pass others on."""
     kind = kind_of(x)
+    if kind == "tensor":
+        return True
     return kind in function.kinds or (  # type: ignore[attr-defined]
         kind in TV_TENSORS and _own_kernel(function.__name__, x) is not None
     )

@@ -3,6 +3,7 @@
 A round draws minimal samples, solves for their models and scores each model by its inliers. That takes two operators,
 whatever the number of hypotheses. On a GPU one round has all hypotheses and the host reads nothing back. On the CPU,
 where reading is free, rounds are smaller and end as soon as the best model reaches the requested confidence.
+The best hypotheses are fitted to all correspondences by sigma-consensus++, those of all pairs of a batch at once.
 """
 
 from __future__ import annotations
@@ -20,12 +21,12 @@ from kvision._ops import register
 from kvision.core.exceptions import ShapeError, ValueCheckError
 from kvision.geometry._normalization import to_unit_last
 from kvision.geometry._precision import in_full_precision
+from kvision.geometry._sigma_consensus import best_fits, consensus
+from kvision.geometry._two_view_fits import FITS, LINEAR_FITS, FundamentalFit, TwoViewFit
 from kvision.geometry.epipolar.distances import sampson_epipolar_distance
 from kvision.geometry.epipolar.essential import nearest_essential
-from kvision.geometry.homography.dlt import find_homography_lines_dlt, homography_of
 from kvision.geometry.homography.errors import line_segment_transfer_error_one_way, oneway_transfer_error
 from kvision.geometry.solvers._minimal import SIZES, eight_points, minimal_solver
-from kvision.geometry.solvers.affine import affine_of
 
 __all__ = ["RANSAC"]
 
@@ -52,7 +53,10 @@ _MODELS: dict[ModelType, str] = {
     "fundamental_8pt": "fundamental8",
     "essential": "essential",
 }
-_REFINED = 8  # number of hypotheses that are refined on their inliers
+# Hypotheses that are fitted to their inliers; 24 of models of many points, of which few samples are right.
+_REFINED = {"affine": 1, "homography": 1, "lines": 1}
+# The largest error that a fit uses, in thresholds. Distances from lines let more wrong correspondences in than those of points.
+_REACH = {"fundamental": 2.0, "fundamental8": 2.0, "essential": 2.0}
 _BATCH = 2048  # hypotheses of one `max_iter` round for batch_size "auto"
 
 
@@ -155,14 +159,15 @@ class RANSAC(nn.Module):
         max_iter: rounds of `batch_size` hypotheses, 2048 for "auto".
         confidence: probability, in (0, 1], that no better model is missed when rounds end early; 1 never ends early. On a GPU
             all hypotheses are tried, because ending early would synchronize with the host.
-        max_lo_iters: number of least-squares fits of the eight best hypotheses to their inliers.
-        score_type: "msac", the sum of 1 - e^2 / inl_th^2 over inliers, or "ransac", their number.
+        max_lo_iters: the most fits of the best hypotheses by sigma-consensus++.
+        score_type: what ranks hypotheses before they are fitted: "msac", the sum of 1 - e^2 / inl_th^2 over inliers, or "ransac",
+            their number. Fits are ranked by the loss of MAGSAC++.
         prosac_sampling: points are sorted, the most reliable first; the first samples are drawn from the first points.
         seed: seed of every call; None draws from torch's default generator.
-        lo_sample_size: no effect, since models are fitted to all inliers.
+        lo_sample_size: no effect, since models are fitted to all correspondences.
         max_samples: total number of hypotheses, instead of `batch_size * max_iter`.
         local_optimization: "lm" or "dlt"; no effect, since there is one method.
-        refine_iters: number of reweighted least-squares fits of the best model to its inliers.
+        refine_iters: the most further fits of the best model.
         degensac: False or None; a search outside of dominant planes does not exist.
         compile: no effect.
 
@@ -170,8 +175,8 @@ class RANSAC(nn.Module):
         TypeCheckError: an argument is of the wrong type.
         ValueCheckError: an unknown name, or a number out of range.
 
-    Source: P. Torr and A. Zisserman, "MLESAC" (2000); O. Chum et al., "Locally optimized RANSAC" (2003); O. Chum and
-    J. Matas, "Matching with PROSAC" (2005).
+    Source: P. Torr and A. Zisserman, "MLESAC" (2000); D. Barath et al., "MAGSAC++" (2020); W. Chojnacki et al., "On the fitting of
+    surfaces to data with covariances" (2000); O. Chum and J. Matas, "Matching with PROSAC" (2005).
 
     Example:
         >>> import torch, kvision as K
@@ -254,8 +259,8 @@ class RANSAC(nn.Module):
         if device.type != "cpu":
             return self.sample_budget
         # Rounds take similar time. Models with few points are faster to solve, so their rounds have more hypotheses.
-        first = {"essential": 64, "fundamental": 256, "fundamental8": 256, "lines": 512}
-        return min(self.sample_budget, first.get(self.model, 1024))
+        first = {"fundamental": 128, "fundamental8": 128}
+        return min(self.sample_budget, first.get(self.model, 64))
 
     @staticmethod
     def max_samples_by_conf(n_inl: int, num_tc: int, sample_size: int, conf: float) -> int:
@@ -271,28 +276,35 @@ class RANSAC(nn.Module):
         """Raise unless `forward` takes these arguments."""
         axes = (2, 2) if self.model == "lines" else (2,)
         for name, x in (("kp1", kp1), ("kp2", kp2)):
-            _check.shape("RANSAC", name, x, "N", *axes)
+            _check.is_tensor("RANSAC", name, x)
+            is_batch = x.dim() > 1 + len(axes)
+            _check.shape("RANSAC", name, x, *(("B", "N") if is_batch else ("N",)), *axes)
             _check.floating("RANSAC", name, x)
         _check.same_shape("RANSAC", kp1=kp1, kp2=kp2)
         _check.same_device("RANSAC", kp1=kp1, kp2=kp2)
-        if len(kp1) < self.minimal_sample_size:
+        if weights is not None:
+            _check.shape("RANSAC", "weights", weights, *kp1.shape[: -len(axes)])
+            _check.same_device("RANSAC", kp1=kp1, weights=weights)
+        if kp1.shape[-1 - len(axes)] < self.minimal_sample_size:
             raise ShapeError(
                 f"RANSAC: expected kp1 of at least {self.minimal_sample_size} correspondences, got {tuple(kp1.shape)}",
                 actual_shape=kp1.shape,
             )
 
     def forward(self, kp1: Tensor, kp2: Tensor, weights: Tensor | None = None) -> tuple[Tensor, Tensor]:
-        """Find the model of correspondences.
+        """Find the model of correspondences, or the models of a batch of pairs.
 
         Args:
-            kp1: points of the first image, (N, 2) as (x, y), floating point; line segments (N, 2, 2) for
-                "homography_from_linesegments"; in the camera's coordinates for "essential".
+            kp1: points of the first image, (N, 2) or (B, N, 2) as (x, y), floating point; line segments (N, 2, 2) or (B, N, 2, 2)
+                for "homography_from_linesegments"; in the camera's coordinates for "essential".
             kp2: the corresponding points of the second image, in the same shape.
-            weights: no effect.
+            weights: of the squared errors of correspondences, at least 0, (N,) or (B, N); None for 1. Correspondences of weight 0
+                do not exist, so pairs of a batch may have different numbers of them.
 
         Returns:
-            The model (3, 3) and its inliers, bool (N,). Zeros and no inliers where no model has more inliers than a sample
-            has points, or as many if there are no more. There is no gradient.
+            The model (3, 3) or (B, 3, 3) and its inliers, bool (N,) or (B, N). Zeros and no inliers where no model has more inliers
+            than a sample has points, or as many if there are no more. Gradients to points and weights are those of the linear
+            least squares of all correspondences near the model, with the weights that sigma-consensus++ gives them.
 
         Raises:
             TypeCheckError: an argument is not a floating-point tensor.
@@ -300,54 +312,132 @@ class RANSAC(nn.Module):
             DeviceError: the tensors are on different devices.
         """
         self.validate_inputs(kp1, kp2, weights)
-        with torch.no_grad():
-            return self._estimate(kp1.detach(), kp2.detach())
+        is_one = kp1.dim() == (3 if self.model == "lines" else 2)
+        if is_one:
+            kp1, kp2, weights = kp1[None], kp2[None], None if weights is None else weights[None]
+        model, inliers = self._estimate(kp1, kp2, weights)
+        return (model[0], inliers[0]) if is_one else (model, inliers)
 
     @in_full_precision
-    def _estimate(self, kp1: Tensor, kp2: Tensor) -> tuple[Tensor, Tensor]:
+    def _estimate(self, kp1: Tensor, kp2: Tensor, weights: Tensor | None) -> tuple[Tensor, Tensor]:
+        with torch.no_grad():
+            x, y = kp1.detach(), kp2.detach()
+            w = None if weights is None else weights.detach()
+            generator = None if self.seed is None else torch.Generator(kp1.device).manual_seed(self.seed)
+            each = [self._searched(x[b], y[b], None if w is None else w[b] > 0, generator) for b in range(len(x))]
+            models = torch.stack(each) if each else x.new_empty(0, 1, 3, 3)
+            model, errors = self._refined(models, x, y, w)
+            exists = torch.ones_like(errors, dtype=torch.bool) if w is None else w > 0
+            inliers = (errors <= self.inl_th**2) & exists
+            # Inliers of a sample alone say nothing for its model, but where these are all correspondences.
+            least = (exists.sum(1, keepdim=True) - 1).clamp(max=self.minimal_sample_size)
+            has_consensus = (inliers.sum(1, keepdim=True) > least) & model.isfinite().flatten(1).all(1)[:, None]
+            inliers = inliers & has_consensus
+            model = torch.where(has_consensus[..., None], self._scaled(model), 0).to(kp1.dtype)
+        if torch.is_grad_enabled() and any(t is not None and t.requires_grad for t in (kp1, kp2, weights)):
+            model = self._with_gradient(model, errors, inliers, kp1, kp2, weights)
+        return model, inliers
+
+    def _scaled(self, models: Tensor) -> Tensor:
+        if self.model == "essential":
+            return models / torch.linalg.vector_norm(models, dim=(-2, -1), keepdim=True)
+        return to_unit_last(models)
+
+    def _searched(self, kp1: Tensor, kp2: Tensor, exists: Tensor | None, generator: torch.Generator | None) -> Tensor:
+        """The best hypotheses (K, 3, 3) for one pair; NaN where there are fewer. On a GPU the host waits for nothing."""
+        population: int | Tensor = len(kp1)
+        is_readable = kp1.device.type == "cpu"
+        if exists is not None and is_readable:
+            kp1, kp2 = kp1[exists], kp2[exists]
+            population = len(kp1)
+        elif exists is not None:  # others come last, and no error below is that of a NaN
+            order = exists.to(torch.uint8).argsort(descending=True, stable=True)
+            shape = (-1, *(1,) * (kp1.dim() - 1))
+            kp1, kp2 = (torch.where(exists.view(shape), p, torch.nan)[order] for p in (kp1, kp2))
+            population = exists.sum()
+        kept = _REFINED.get(self.model, 24)
+        if len(kp1) < self.minimal_sample_size:
+            return kp1.new_full((1, 3, 3), torch.nan)
         points = kp1.flatten(1)[None], kp2.flatten(1)[None]
         rows = points[0][0].T.contiguous(), points[1][0].T.contiguous()
-        generator = None if self.seed is None else torch.Generator(kp1.device).manual_seed(self.seed)
         batch = self.resolve_batch_size(len(kp1), kp1.device)
         by_count, number = self.score_type == "ransac", MODEL[self.model]
         models, scores = kp1.new_empty(0, 3, 3), kp1.new_empty(0, 2)
 
-        def scored(candidates: Tensor) -> tuple[Tensor, Tensor]:
-            candidates = candidates.to(kp1.dtype)
-            return candidates, _consensus(candidates, *rows, self.inl_th, number)
+        def merged(candidates: Tensor, limit: int) -> tuple[Tensor, Tensor]:
+            others = candidates, _consensus(candidates, *rows, self.inl_th, number)
+            top = _top_k_models(*others, limit, by_count)
+            if not len(models):
+                return top
+            return _merge_top_k(*top, models, scores, *rows, self.inl_th, 0.0, limit, by_count, number)[:2]
 
-        def merge(
-            scored_models: tuple[Tensor, Tensor], other: tuple[Tensor, Tensor], softness: float, count: int
-        ) -> Any:
-            return _merge_top_k(*scored_models, *other, *rows, self.inl_th, softness, count, by_count, number)
-
-        num_drawn, num_required = 0, self.sample_budget
+        num_drawn, num_required, best = 0, self.sample_budget, 0.0
+        fit: TwoViewFit | None = None
         while num_drawn < num_required:
             count = min(batch, self.sample_budget - num_drawn)
-            draws = self._draws(count, len(kp1), num_drawn, kp1, generator)
-            hypotheses, hypothesis_scores = scored(minimal_solver(*points, draws, self.model).flatten(0, 1))
-            top = _top_k_models(hypotheses, hypothesis_scores, _REFINED, by_count)
-            models, scores, weights = merge(top, (models, scores), 0.0, _REFINED)
+            draws = self._draws(count, len(kp1), population, num_drawn, kp1, generator)
+            models, scores = merged(minimal_solver(*points, draws, self.model).flatten(0, 1), kept)
             num_drawn += count
-            batch = min(2 * batch, 4096) if self.batch_size == "auto" else batch
-            if kp1.device.type == "cpu":
-                num_confident = self.max_samples_by_conf(
-                    int(scores[0, 1]), len(kp1), self.minimal_sample_size, self.confidence
-                )
-                num_required = min(self.sample_budget, num_confident)
-        for _ in range(self.max_lo_iters):
-            models, scores, weights = merge(scored(self._fitted(kp1, kp2, weights)), (models, scores), 0.0, _REFINED)
-        softness = (3 / self.inl_th) ** 2
-        models, scores, weights = merge((models, scores), (models[:0], scores[:0]), softness, 1)
-        for _ in range(self.refine_iters):
-            models, scores, weights = merge(scored(self._fitted(kp1, kp2, weights)), (models, scores), softness, 1)
-        # Inliers of a sample alone say nothing for its model, but where these are all correspondences.
-        min_inliers = min(self.minimal_sample_size, len(kp1) - 1)
-        model, inliers = _finalize_model(models, weights, min_inliers, number)
-        return model, inliers
+            batch = min(2 * batch, 2048) if self.batch_size == "auto" else batch
+            if not is_readable:
+                continue
+            num_required = self._required(scores, len(kp1))
+            if num_drawn < num_required and float(scores[0, int(by_count)]) > best and self.max_lo_iters:
+                fit = self._fit(kp1[None], kp2[None], None) if fit is None else fit
+                improved, _ = best_fits(models[None, :1].double(), fit.errors, fit, self._reach, 2)
+                models, scores = merged(improved.to(kp1.dtype), kept)
+                num_required = self._required(scores, len(kp1))
+                best = float(scores[0, int(by_count)])
+        if is_readable:
+            # What was found early is found often: one hypothesis stands for all.
+            models = models[: 1 if num_drawn < self.sample_budget else kept].double()
+            fit = self._fit(kp1[None], kp2[None], None) if fit is None else fit
+            return best_fits(models[None], fit.errors, fit, self._reach, self.max_lo_iters)[0]
+        missing = kept - len(models)
+        return models if missing <= 0 else torch.cat([models, models.new_full((missing, 3, 3), torch.nan)])
+
+    def _required(self, scores: Tensor, count: int) -> int:
+        """The number of samples after which the best model so far has the requested confidence."""
+        num_confident = self.max_samples_by_conf(int(scores[0, 1]), count, self.minimal_sample_size, self.confidence)
+        return min(self.sample_budget, num_confident)
+
+    @property
+    def _reach(self) -> float:
+        """The largest error of a correspondence that a fit uses."""
+        return self.inl_th * _REACH.get(self.model, 4.0)
+
+    def _fit(self, kp1: Tensor, kp2: Tensor, exists: Tensor | None) -> TwoViewFit:
+        return FITS.get(self.model, FundamentalFit)(kp1, kp2, exists)
+
+    def _refined(self, models: Tensor, kp1: Tensor, kp2: Tensor, weights: Tensor | None) -> tuple[Tensor, Tensor]:
+        """The best (B, 3, 3) of models (B, K, 3, 3) after fits near all of them and then near the best one, and its errors."""
+        fit = self._fit(kp1, kp2, None if weights is None else weights > 0)
+        models = models.double()
+        if models.shape[1] > 1:
+            models = best_fits(models, fit.errors, fit, self._reach, self.max_lo_iters, weights)[0][:, None]
+        return best_fits(models, fit.errors, fit, self._reach, self.refine_iters, weights)
+
+    def _with_gradient(
+        self, model: Tensor, errors: Tensor, inliers: Tensor, kp1: Tensor, kp2: Tensor, weights: Tensor | None
+    ) -> Tensor:
+        """The model with the gradient of the weighted linear least squares of what it was fitted to."""
+        has_model = inliers.any(1)
+        w = consensus(torch.where(has_model[:, None], errors, 0), self._reach)[0].to(kp1.dtype)
+        kp1, kp2 = kp1.nan_to_num(0.0, 0.0, 0.0), kp2.nan_to_num(0.0, 0.0, 0.0)  # of weight 0
+        fitted = self._scaled(self._fitted(kp1, kp2, w if weights is None else w * weights))
+        if self.model == "essential":
+            fitted = fitted * (fitted * model).sum((1, 2), keepdim=True).sign().detach()
+        valued = model + (fitted - fitted.detach())
+        return torch.where(has_model[:, None, None], valued, model)
 
     def _draws(
-        self, count: int, population: int, num_drawn: int, like: Tensor, generator: torch.Generator | None
+        self,
+        count: int,
+        num_points: int,
+        population: int | Tensor,
+        num_drawn: int,
+        like: Tensor,
+        generator: torch.Generator | None,
     ) -> Tensor:
         """Draw samples (count, m + 1): m random numbers, then how many of the first points they choose from."""
         size = self.minimal_sample_size
@@ -355,7 +445,7 @@ class RANSAC(nn.Module):
         draws = torch.rand(shape, device=like.device, dtype=torch.float32, generator=generator)
         draws[:, size] = population
         if self.prosac_sampling:
-            ends = torch.tensor(_growth(size, population, self.sample_budget), device=like.device)
+            ends = torch.tensor(_growth(size, num_points, self.sample_budget), device=like.device)
             number = torch.arange(num_drawn + 1, num_drawn + count + 1, device=like.device)
             first = (torch.searchsorted(ends, number) + size).clamp(max=population)
             draws[:, size] = first
@@ -364,12 +454,8 @@ class RANSAC(nn.Module):
         return draws
 
     def _fitted(self, kp1: Tensor, kp2: Tensor, weights: Tensor) -> Tensor:
-        """Least-squares models (M, 3, 3) for weights (M, N)."""
-        if self.model == "lines":
-            x, y = (kp.expand(len(weights), *kp.shape) for kp in (kp1, kp2))
-            return find_homography_lines_dlt(x, y, weights)
-        fit = {"homography": homography_of, "affine": affine_of}.get(self.model, eight_points)
-        fitted: Tensor = fit(kp1[None], kp2[None], weights)
+        """Linear least squares (B, 3, 3) of points (B, N, ...) for weights (B, N)."""
+        fitted: Tensor = LINEAR_FITS.get(self.model, eight_points)(kp1, kp2, weights)
         return nearest_essential(fitted) if self.model == "essential" else fitted
 
     # --- the steps of `forward`, for callers that combine them in another way ---
@@ -416,7 +502,7 @@ class RANSAC(nn.Module):
 
     def polish_model(self, kp1: Tensor, kp2: Tensor, inliers: Tensor) -> Tensor:
         """The least-squares model (1, 3, 3) of the inliers."""
-        return self._fitted(kp1, kp2, inliers[None].to(kp1.dtype))
+        return self._fitted(kp1[None], kp2[None], inliers[None].to(kp1.dtype))
 
 
 def _growth(size: int, population: int, budget: int) -> list[int]:

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 import kvision as K
-from kvision.geometry.solvers.null_vector import _eigenvectors
+from kvision.geometry.solvers.null_vector import eigenvectors
 from op_tests import assert_close
 from point_op_tests import SINGLE_AND_DOUBLE, Call, PointOpTests, vector
 from view_tests import rand
@@ -13,11 +13,11 @@ G = K.geometry
 
 
 @pytest.mark.parametrize("n", [3, 4, 9, 12])
-def test_eigenvectors(n, device):
+def testeigenvectors(n, device):
     """Also of matrices that have no more than one eigenvalue, or two."""
     matrix = torch.stack([M @ M.mT for M in rand(6, n, n, seed=n)]).to(device)
     matrix[:3] = torch.stack([0 * matrix[0], torch.eye(n, device=device).double(), torch.ones_like(matrix[0])])
-    values, vectors = _eigenvectors(matrix)
+    values, vectors = eigenvectors(matrix)
     assert_close(values, torch.linalg.eigvalsh(matrix.cpu()).to(device), 1e-12, 1e-12)
     assert_close(matrix @ vectors, vectors * values[:, None], 1e-12, 1e-12)
     assert_close(vectors.mT @ vectors, torch.eye(n, device=device).double().expand_as(matrix), 1e-12, 1e-12)

@@ -51,7 +51,7 @@ _GAP = 1e-13
 
 
 # Takes symmetric matrices (B, n, n), n = 3, 4, 9 or 12. Returns ascending eigenvalues (B, n), eigenvectors as columns.
-_eigenvectors = register(
+eigenvectors = register(
     "eigenvectors",
     lambda matrix: tuple(torch.linalg.eigh(matrix)),
     fake=lambda matrix: [matrix.shape[:2], matrix.shape],
@@ -76,7 +76,7 @@ def _smallest_eigenvector(matrix: Tensor, computed: Tensor | None) -> Tensor:
     M = matrix / torch.where(size > 0, size, 1)
     finite = M.isfinite().all(-1, keepdim=True).all(-2, keepdim=True)
     M = torch.where(finite, M, 0)
-    values, vectors = _eigenvectors(M.detach())
+    values, vectors = eigenvectors(M.detach())
     gap = values - values[..., :1]
     inverse = torch.where(gap > _GAP, 1 / torch.where(gap > _GAP, gap, 1), 0)
     pseudo_inverse = (vectors * inverse[..., None, :]) @ vectors.mT

@@ -1,0 +1,66 @@
+"""Robust fits by sigma-consensus++: models are fitted again and again with weights that no noise scale decides alone.
+
+Inliers have noise of an unknown scale sigma, anywhere from 0 to a largest one. Averaged over sigma the likelihood gives a residual
+r the weight of Barath et al., an incomplete gamma function of x = r^2 / (2 sigma_max^2). With three degrees of freedom, between
+those of one pixel and those of a pair, it is elementary: exp(-x) - exp(-x_end), and 0 beyond the 99% quantile x_end of the largest
+scale. Its integral is the loss that ranks models.
+
+Source: D. Barath, J. Noskova, M. Ivashechkin, J. Matas, "MAGSAC++, a fast, reliable and accurate robust estimator" (2020).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+_QUANTILE = 11.345  # 99% of the squared norms of three normal numbers are below
+_END = _QUANTILE / 2
+_REST = math.exp(-_END)
+
+_TOLERANCE = 1e-5  # relative increase of a score that further fits are worth
+
+Errors = Callable[
+    [Tensor], Tensor
+]  # squared errors (B, K, N) of models (B, K, m, n), NaN where there is no correspondence
+Fit = Callable[[Tensor, Tensor], Tensor]  # models (B, K, m, n) near others, for weights (B, K, N) of squared errors
+
+
+def consensus(errors: Tensor, reach: float) -> tuple[Tensor, Tensor]:
+    """Weights of squared errors in a fit, 0 from `reach` on and for NaN, and what they contribute to the score of a model."""
+    x = (errors * (_END / reach**2)).nan_to_num(_END, _END).clamp(max=_END)
+    likelihood = (-x).exp()
+    return likelihood - _REST, likelihood + _REST * x
+
+
+def best_fits(
+    models: Tensor, errors: Errors, fit: Fit, reach: float, rounds: int, weights: Tensor | None = None
+) -> tuple[Tensor, Tensor]:
+    """The models (B, m, n) with the highest scores among models (B, K, m, n) and up to `rounds` fits that start from each, and
+    their squared errors (B, N). `weights` (B, N) multiply those of the consensus. On the CPU fits end with the rise of the scores.
+    """
+    factors = None if weights is None else weights[:, None]
+    best = models
+    for i in range(rounds + 1):
+        e = errors(models)
+        w, gains = consensus(e, reach)
+        score = (gains if factors is None else gains * factors).sum(-1)
+        if i == 0:
+            best_score, best_errors = score, e
+        else:
+            is_better = score > best_score
+            rises = score > best_score * (1 + _TOLERANCE)
+            best_score = torch.where(is_better, score, best_score)
+            best = torch.where(is_better[..., None, None], models, best)
+            best_errors = torch.where(is_better[..., None], e, best_errors)
+            if score.is_cpu and not bool(rises.any()):
+                break
+        if i < rounds:
+            models = fit(models, w if factors is None else w * factors)
+    if best.shape[1] == 1:
+        return best[:, 0], best_errors[:, 0]
+    first = best_score.argmax(1)
+    row = torch.arange(len(first), device=first.device)
+    return best[row, first], best_errors[row, first]

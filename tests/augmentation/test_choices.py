@@ -10,6 +10,7 @@ import torch
 from torch import Tensor, nn
 
 import kvision.augmentation as A
+from kvision.augmentation.engine import turns
 from kvision.augmentation.engine.turns import plan_turns
 
 CHOICES: dict[str, Callable[..., Any]] = {
@@ -109,6 +110,43 @@ def test_children_run_for_their_samples_alone() -> None:
     assert same.calls in ([], [64])
 
 
+def test_colors_are_one_run_and_so_are_warps(monkeypatch: pytest.MonkeyPatch, device: torch.device) -> None:
+    """In which each sample is bit for bit what its child gives alone, and no other child changes anything."""
+    colors = [
+        A.RandomBrightness((0.5, 0.8)),
+        A.RandomSaturation((0.5, 0.8)),
+        A.ColorJitter(0.2, 0.2, 0.2, 0.1),
+        A.RandomInvert(),
+    ]
+    warps = [A.RandomHorizontalFlip(), A.RandomAffine(30.0, p=0.2), A.RandomPerspective(0.5)]
+    runs: list[list[str]] = []
+
+    def counted(x: Tensor, children: Any, *rest: Any) -> Any:
+        runs.append([child.name for child in children])
+        return execute(x, children, *rest)
+
+    execute = turns.execute
+    monkeypatch.setattr(turns, "execute", counted)
+    for dtype in (torch.float32, torch.uint8):
+        x, seeds = images(device, 40, dtype), torch.arange(40)
+        for children, expected_runs in (
+            (colors, 1),
+            (warps, 1),
+            ([*colors, *warps, A.RandomGaussianBlur((3, 3), (1.0, 2.0))], 3),
+        ):
+            augment = A.OneOf(*children)
+            runs.clear()
+            y = augment(x, seed=seeds)
+            assert len(runs) == expected_runs and max(map(len, runs)) >= 3
+            params, matrix, expected = augment._params, augment.transform_matrix, torch.zeros_like(x)
+            for item in params:
+                child = dict(augment.named_children())[item.name]
+                expected[item.samples] = child(x[item.samples], params=item.data)
+            assert torch.equal(y, expected) and torch.equal(augment(x, params=params), y)
+            torch.testing.assert_close(augment.transform_matrix, matrix)
+            assert torch.equal(augment(x[[7, 3]], seed=seeds[[7, 3]]), y[[7, 3]])
+
+
 def names_of_samples(augment: Any, x: Tensor) -> list[list[str]]:
     """The children of each sample, in their order."""
     augment(x, seed=torch.arange(len(x)))
@@ -158,8 +196,8 @@ def test_some_children_have_their_own_p() -> None:
 
 
 def test_turns_take_each_child_once_where_the_order_allows() -> None:
-    turns = [(turn.number, turn.samples) for turn in plan_turns([[0, 2], [1, 2], [], [1]])]
-    assert turns == [(1, [1, 3]), (0, [0]), (2, [0, 1])]
+    planned = [(turn.number, turn.samples) for turn in plan_turns([[0, 2], [1, 2], [], [1]])]
+    assert planned == [(1, [1, 3]), (0, [0]), (2, [0, 1])]
     again = plan_turns([[0, 0, 1], [1, 0]])
     assert [(t.number, t.occurrence) for t in again if 0 in t.samples] == [(0, 0), (0, 1), (1, 0)]
     assert [t.number for t in again if 1 in t.samples] == [1, 0]

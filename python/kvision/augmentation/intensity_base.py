@@ -83,8 +83,8 @@ class IntensityAugmentationBase2D(RigidAffineAugmentationBase2D, keeps_contract=
             return Contribution(takes_volumes=self.takes_volumes)
         return Contribution(None, Colors(steps, self.order_of_steps), takes_volumes=True)
 
-    def _request(self, shape: Shape, is_certain: bool = False) -> Request | None:
-        request = super()._request(shape, is_certain)
+    def _request(self, shape: Shape, is_certain: bool = False, has_chosen: bool = False) -> Request | None:
+        request = super()._request(shape, is_certain, has_chosen)
         steps = self.color_steps(shape, self.flags)
         if request is None or steps is None or self.order_of_steps or request.draws[0].kind != "chosen":
             return request

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import accumulate
+from itertools import accumulate, chain
 from typing import Any
 
 from torch import Generator
 
 from kvision import _check
 from kvision.augmentation.draws import Draw, uniform
-from kvision.augmentation.engine import AugmentationBase, Child, ChoiceBase, positional
+from kvision.augmentation.engine import AugmentationBase, Child, ChoiceBase, Turn, joins, positional
 from kvision.core.exceptions import ValueCheckError
 
 __all__ = ["OneOf", "RandomApply", "RandomOrder", "SomeOf"]
@@ -76,6 +76,36 @@ class OneOf(ChoiceBase):
             return ()
         last = sums.index(sums[-1])  # that has a weight, for a number that is rounded to 1
         return (min(sum(end <= drawn[0] * sums[-1] for end in sums), last),)
+
+    def _joined(self, turns: list[Turn], shape: tuple[int, ...], position: int) -> list[Turn]:
+        groups, joined = self._groups(shape), []
+        together: dict[int, dict[str, Sequence[int]]] = {}
+        for turn in turns:
+            group = groups.get(turn.children[0].name)
+            if group is None:
+                joined.append(turn)
+            else:
+                together.setdefault(group, {})[turn.children[0].name] = turn.samples
+        for group, parts in together.items():
+            children = [Child(name, module) for name, module in self.named_children() if groups.get(name) == group]
+            samples = [parts.get(child.name, ()) for child in children]
+            joined.append(Turn(children, sorted(chain(*samples)), position + group, samples))
+        return joined
+
+    def _groups(self, shape: tuple[int, ...]) -> dict[str, int]:
+        """Of each child that is one pass with others for images of a shape, the number of the first of them."""
+        key = ("groups", shape[1:])
+        groups: dict[str, int] | None = self._plans.get(key)
+        if groups is None:
+            kinds = {name: joins(module, shape) for name, module in self.named_children()}
+            readings = [kind for kind in kinds.values() if kind not in (None, True, "colors")]
+            kinds = {name: readings[0] if kind is True and readings else kind for name, kind in kinds.items()}
+            listed = list(kinds.values())
+            groups = {
+                name: listed.index(kind) for name, kind in kinds.items() if kind is not None and listed.count(kind) > 1
+            }
+            self._plans.keep(key, groups)
+        return groups
 
     def _sums_of_weights(self) -> list[float]:
         """The sums of the weights up to each child."""

@@ -57,6 +57,7 @@ from kvision.augmentation.engine.patch_sequential import PatchSequential
 from kvision.augmentation.engine.record import Child, Record
 from kvision.augmentation.engine.runs import CallContext
 from kvision.augmentation.engine.stages import Applied, Chain, Warp
+from kvision.augmentation.engine.turns import Turn, joins
 from kvision.augmentation.engine.video_sequential import VideoSequential
 
 __all__ = [
@@ -83,10 +84,12 @@ __all__ = [
     "RigidAffineAugmentationBase2D",
     "RigidAffineAugmentationBase3D",
     "Shape",
+    "Turn",
     "VideoSequential",
     "Warp",
     "check_batch_of_params",
     "checked_items",
+    "joins",
     "matrix_type",
     "positional",
     "replaying",

@@ -96,7 +96,13 @@ class ChoiceBase(ImageSequential):
         sequences = self._sequences(len(x) // context.frames, context)
         units = self._units([Child(name, module) for name, module in self.named_children()])
         turns = turns_of(units, sequences, context.frames, context.position)
-        return turns, context._replace(is_certain=self.children_are_certain)
+        return self._joined(turns, tuple(x.shape), context.position), context._replace(
+            is_certain=self.children_are_certain
+        )
+
+    def _joined(self, turns: list[Turn], shape: tuple[int, ...], position: int) -> list[Turn]:
+        """The turns of a call on images of a shape, with those in one that are one pass."""
+        return turns
 
     def _sequences(self, samples: int, context: CallContext) -> list[Sequence[int]]:
         """The numbers of the units of each sample."""

@@ -162,15 +162,18 @@ class Declaration(KeepsArguments):
         if self._param_generator is not None:
             self._param_generator.set_rng_device_and_dtype(device, dtype)
 
-    def _request(self, shape: Shape, is_certain: bool = False) -> Request | None:
-        """What this augmentation draws for images of a shape; None for nothing. `is_certain` stands for p = p_batch = 1."""
+    def _request(self, shape: Shape, is_certain: bool = False, has_chosen: bool = False) -> Request | None:
+        """What this augmentation draws for images of a shape; None for nothing.
+
+        `is_certain` stands for p = p_batch = 1; `has_chosen` asks for the column of chosen samples also then.
+        """
         generator = None if self._draws_by_name else self._param_generator
         draws: list[Any] = [] if generator is None else list(generator.draws(shape))
         p, p_batch = (1.0, 1.0) if is_certain else (self.p, self.p_batch)
         if self.whole_batch:
             return Request(draws, 1.0, 1.0, self.same_on_batch) if draws or 0 < p_batch < 1 else None
         per_pixel = generator is not None and generator.per_pixel
-        if p < 1 or p_batch < 1 or (per_pixel and not draws):
+        if has_chosen or p < 1 or p_batch < 1 or (per_pixel and not draws):
             draws.insert(0, Draw("chosen"))
         return Request(draws, p, p_batch, self.same_on_batch) if draws else None
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import torch
@@ -77,6 +77,13 @@ class Execution:
         """Keep the matrices of an operator, which carry no gradients; where parameters do, they are computed when asked for."""
         if self.columns is None or not self.columns.drawn.requires_grad:
             self.matrix = matrix
+
+    def of_rows(self, rows: Sequence[int]) -> Execution:
+        """The same call of some of its samples, for their parameters."""
+        columns = self.columns
+        if columns is not None:
+            columns = columns._replace(drawn=columns.drawn[list(rows)])
+        return Execution((len(rows), *self.shape[1:]), columns, applied=self.applied)
 
     @property
     def chosen(self) -> Tensor | None:

@@ -29,11 +29,17 @@ class Child:
     record: Any = None  # what it did: the Execution of an augmentation, the Record of a container
     samples: Sequence[int] | None = None  # of a batch, for which it was executed; None for all
     batch: int = 0  # of how many
+    rows: Sequence[int] | None = (
+        None  # those of the record that are of these samples, where they shared a run with others
+    )
     foreign_params: Any = None  # `_params` of a module that has no records, after its call
 
     def read_params(self) -> Any:
         """The parameters that it was executed with."""
-        return self.foreign_params if self.record is None else self.module._read_params(self.record)  # type: ignore[operator]
+        if self.record is None:
+            return self.foreign_params
+        record = self.record if self.rows is None else self.record.of_rows(self.rows)
+        return self.module._read_params(record)  # type: ignore[operator]
 
 
 class Record:

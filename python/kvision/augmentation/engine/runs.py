@@ -24,7 +24,8 @@ from typing import Any, NamedTuple
 import torch
 from torch import Generator, Tensor, nn
 
-from kvision.augmentation.columns import Columns, DrawPlan, Span, plan_draws
+from kvision._constants import constant
+from kvision.augmentation.columns import Columns, DrawPlan, Span, identity_values, plan_draws
 from kvision.augmentation.drawn_links import DrawnLinks
 from kvision.augmentation.drawn_pass import DrawnPass
 from kvision.augmentation.draws import Request
@@ -59,6 +60,8 @@ class CallContext(NamedTuple):
     masks: Callable[[Chain], Any] | None = None  # those of the images after stages, for what mixes by them
     default_generator: Generator | None = None  # of the container, for children without one of their own
     is_certain: bool = False  # children are executed for all samples, whatever their probabilities say
+    # (B,) on the CPU: the number of the only child that a sample gets, of a run which then is certain; None where it gets all.
+    owners: Tensor | None = None
 
     @classmethod
     def of_module(cls, op: str, seed: Seed, generator: Generator | None) -> CallContext:
@@ -160,9 +163,9 @@ def _position_inside(position: int) -> int:
 
 def _key(x: Tensor, children: Sequence[Child], context: CallContext, position: int) -> Hashable:
     """The key of the plan of a run: all that it depends on besides the settings of modules."""
-    _, seed, _, once, _, output, frames, _, time, *_, is_certain = context
+    _, seed, _, once, _, output, frames, _, time, *_, is_certain, owners = context
     modules = [(id(child.module), child.params is None) for child in children]
-    return (x.shape, x.dtype, position, seed is None, once, output, frames, time, is_certain, *modules)
+    return (x.shape, x.dtype, position, seed is None, once, output, frames, time, is_certain, owners is None, *modules)
 
 
 def _runs(children: Sequence[Child], plans: Plans) -> list[tuple[Sequence[Child], str]]:
@@ -231,6 +234,8 @@ class _RunPlan(NamedTuple):
     first: int  # number of the first key, or position in the chain
     certain: Sequence[bool]  # whether all samples are augmented
     drawn: DrawnPass | DrawnLinks | None  # the draws together with the first step or its links, by one operator
+    owners: Tensor | None = None  # (P,) on the CPU: the number of the augmentation that each column belongs to
+    identity: tuple[float, ...] = ()  # what the columns hold for samples that do not get that augmentation
 
 
 def _execute_run(
@@ -252,6 +257,9 @@ def _execute_run(
             check_seeds(context.op, keys, x[:: context.frames].shape[0])
         if plan.drawn is None or keys is None:
             columns = _draw(x, plan, keys, context.frames)
+            if plan.owners is not None and columns is not None and context.owners is not None:
+                own = (context.owners[:, None] == plan.owners).to(columns.device, non_blocking=True)
+                columns = torch.where(own, columns, constant(plan.identity, columns))
         else:
             columns, result, links = plan.drawn.draw(x, keys)
         executions, steps = _executions(x, plan, columns, keys, context.frames), plan.steps
@@ -325,7 +333,10 @@ def _executions(x: Tensor, plan: _RunPlan, columns: Tensor | None, keys: Keys | 
         if request is None or span is None or columns is None or keys is None:
             executions.append(Execution(shape, applied=applies))
         else:
-            drawn, redraw = Columns(columns, span), (keys, plan.first + request)
+            drawn = Columns(columns, span)
+            redraw = (
+                (keys, plan.first + request) if plan.owners is None else None
+            )  # which would give them to all samples
             executions.append(Execution(shape, drawn, None, applies, None, redraw, frames, certain))
         executions[-1].identity = identity
     return executions
@@ -335,7 +346,7 @@ def _plan_run(
     x: Tensor, modules: Sequence[AugmentationBase], context: CallContext, position: int
 ) -> tuple[_RunPlan, Keys | None]:
     """The plan of a run. If it depends on keys, these are drawn and returned for all requests; otherwise they are None."""
-    has_seed = context.seed is not None
+    has_seed, has_owners = context.seed is not None, context.owners is not None
     first = position if has_seed else 0
     shape: Shape = tuple(x.shape)
     batch = shape[0]
@@ -347,7 +358,7 @@ def _plan_run(
     for module in modules:
         of_samples = (samples, *shape[1:])
         may_apply = context.is_certain or (module.p > 0 and module.p_batch > 0)
-        request = module._request(of_samples, context.is_certain) if may_apply else None
+        request = module._request(of_samples, context.is_certain, has_owners) if may_apply else None
         number = len(requests)
         if request is not None:
             requests.append(request)
@@ -376,12 +387,22 @@ def _plan_run(
         for shape, span, applies in zip(shapes, spans, applied)
     ]
     steps = plan_steps(modules, planned, context.once, x.dtype, context.output)
-    certain = [context.is_certain or module._is_certain for module in modules]
+    certain = [not has_owners and (context.is_certain or module._is_certain) for module in modules]
     drawn = None
-    if steps and len(draws) == 1 and context.frames == 1:
+    if steps and len(draws) == 1 and context.frames == 1 and not has_owners:
         keys_of = [None if number is None else (first + number, has_seed) for number in numbers]
         drawn = steps[0].drawn_with(draws[0], Planned(modules, shapes, x.dtype, keys_of))
-    return _RunPlan(draws, numbers, drawing, spans, shapes, applied, steps, first, certain, drawn), keys
+    owners, identity = _owners_of_columns(requests, spans_of_requests) if has_owners else (None, ())
+    return _RunPlan(
+        draws, numbers, drawing, spans, shapes, applied, steps, first, certain, drawn, owners, identity
+    ), keys
+
+
+def _owners_of_columns(requests: Sequence[Request], spans: Sequence[Span]) -> tuple[Tensor, tuple[float, ...]]:
+    """The number of the request of each column, and what the column holds for samples that are not chosen."""
+    owners = [number for number, span in enumerate(spans) for _ in range(span.width)]
+    identity = [value for request in requests for value in (0.0, *identity_values(request.draws[1:]))]
+    return torch.tensor(owners, device="cpu"), tuple(identity)
 
 
 def _more_keys(keys: Keys | None, modules: Sequence[AugmentationBase], x: Tensor, context: CallContext) -> Keys:

@@ -147,9 +147,8 @@ class Turn(NamedTuple):
 
     children: Sequence[Child]
     samples: Sequence[int]
-    position: int = (
-        0  # of the first child in the chain, under a seed: what a sample draws does not depend on other turns
-    )
+    position: int = 0  # of the first child in the chain, under a seed, on which the draws of a sample depend
+    parts: Sequence[Sequence[int]] | None = None  # the samples of each child, where each sample gets one of them alone
 
 
 def turns_of(
@@ -181,7 +180,10 @@ def execute_turns(x: Tensor, turns: Sequence[Turn], context: CallContext) -> tup
             own = context._replace(output=SAME, masks=None, seed=_seed_of(context.seed, samples, batch))
             children = [replace(child, samples=samples, batch=batch) for child in turn.children]
             source = rows.take(samples)
-            y, stage = execute(source, children, own, turn.position)
+            if turn.parts is None:
+                y, stage = execute(source, children, own, turn.position)
+            else:
+                y, stage, children = _execute_parts(source, turn, own, children)
             rows.put(samples, y)
             size = tuple(x.shape[2:]) if source.shape[2:] == x.shape[2:] else None
             stages += stage.stages if len(samples) == batch else [SomeSamples(stage, samples, batch, size)]
@@ -196,6 +198,41 @@ def execute_turns(x: Tensor, turns: Sequence[Turn], context: CallContext) -> tup
         y, _ = make_pass(None, output=context.output).run(y, None)
     has_parts = any(isinstance(stage, SomeSamples) for stage in stages)
     return y, Chain([Turns(stages)] if has_parts else stages), executed
+
+
+def _execute_parts(
+    x: Tensor, turn: Turn, context: CallContext, children: Sequence[Child]
+) -> tuple[Tensor, Chain, list[Child]]:
+    """Run children of which each sample gets one as one run, in which the others change nothing."""
+    assert turn.parts is not None
+    row_of = {sample: row for row, sample in enumerate(turn.samples)}
+    owner = torch.empty(len(turn.samples), dtype=torch.int64, device="cpu")
+    for number, (child, samples) in enumerate(zip(children, turn.parts)):
+        child.samples, child.rows = samples, [row_of[sample] for sample in samples]
+        owner[child.rows] = number
+    y, stage = execute(x, children, context._replace(once=True, owners=owner), turn.position)
+    return y, stage, [child for child in children if child.samples]
+
+
+def joins(module: Any, shape: tuple[int, ...]) -> Any:
+    """What says which augmentations of images of a shape are one run of a pass if each sample gets one of them; None for none.
+
+    These are those that change colors, and those that read the image at a matrix in the same way: a run multiplies the matrices, of
+    which all but one are the identity. Those that permute pixels read in any way, for which True stands.
+    """
+    if not isinstance(module, AugmentationBase) or module.whole_batch or module.needs_masks or module.fuses_noise:
+        return None
+    contribution = module._contribution(shape, module.flags)
+    if contribution is None or not module.has_known_size or len(shape) != module.axes + 1 != 4:
+        return None
+    if contribution.colors is not None:
+        return "colors" if module._result_dtype(torch.uint8) == torch.uint8 else None
+    motion = contribution.motion
+    if motion is None or motion.is_map or motion.is_antialiased or tuple(motion.size) != tuple(shape[2:]):
+        return None
+    if motion.permutes_pixels:
+        return True
+    return motion.resampling if isinstance(motion.resampling.fill, (int, float, type(None))) else None
 
 
 def _seed_of(seed: Any, rows: Sequence[int], batch: int) -> Any:

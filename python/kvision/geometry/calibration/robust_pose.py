@@ -10,6 +10,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
+from kvision.geometry._sigma_consensus import Errors, Fit, best_fits, consensus
 from kvision.geometry.calibration.alignment import check_pairs, kabsch, umeyama
 from kvision.geometry.calibration.camera import poses_where
 from kvision.geometry.calibration.p3p import poses_of_triangles
@@ -17,13 +18,11 @@ from kvision.geometry.calibration.pnp import _before_camera, check_correspondenc
 from kvision.geometry.calibration.refined_pnp import _as_se3
 from kvision.geometry.liegroup import Se3, Sim3
 from kvision.geometry.optim import ReprojectionError, least_squares
-from kvision.geometry.optim.least_squares import Gradient
 
 __all__ = ["kabsch_ransac", "solve_pnp_ransac", "umeyama_ransac"]
 
-# A model is fitted again to what is within these multiples of the threshold, and to its inliers in the end. A wider circle frees
-# a fit from inliers that keep others out.
-_WIDTHS = (3.0, 2.0, 1.5, 1.0, 1.0)
+_ROUNDS = 6  # the most fits by sigma-consensus++
+_REACH = 3.0  # the largest error that a fit uses, in thresholds
 
 
 def solve_pnp_ransac(
@@ -37,9 +36,9 @@ def solve_pnp_ransac(
 ) -> tuple[Se3, Tensor, Tensor]:
     """Estimate camera poses from points in space and their projections, of which many may be wrong.
 
-    Each of `max_samples` hypotheses is the pose of three points that sees a fourth one best (:func:`solve_p3p`). The one with the
-    highest score, the sum of 1 - e^2 / inl_th^2 over inliers, is refined on its inliers, as :func:`solve_pnp` does. All problems
-    are solved at once, and nothing waits for the device. Gradients of the pose are those of the least error of the inliers.
+    Each of `max_samples` hypotheses is the pose of three points that sees a fourth one best (:func:`solve_p3p`). The best one by
+    the loss of MAGSAC++ is refined with the weights of sigma-consensus++. All problems are solved at once, and nothing waits for
+    the device. Gradients of the pose are those of the least weighted error.
 
     Args:
         world_points: (B, N, 3), float32 or float64, at least four.
@@ -59,7 +58,7 @@ def solve_pnp_ransac(
         TypeError: points or intrinsics are not floating-point tensors; `mask` is not bool.
         ValueError: a shape or number is not as in Args.
 
-    Source: M. Fischler and R. Bolles, "Random sample consensus" (1981); P. Torr and A. Zisserman, "MLESAC" (2000).
+    Source: M. Fischler and R. Bolles, "Random sample consensus" (1981); D. Barath et al., "MAGSAC++" (2020).
 
     Example:
         >>> import torch, kvision as K
@@ -89,21 +88,20 @@ def solve_pnp_ransac(
     def errors(poses: Tensor) -> Tensor:
         return _squared_errors(poses, world_points[:, None], img_points[:, None], intrinsics[:, None])
 
-    def refit(poses: Tensor, points: Tensor, last: bool) -> Any:
-        reprojection, weights = ReprojectionError(img_points, intrinsics, world_points), points.to(poses.dtype)
-        gradient: Gradient = "implicit" if last else "none"
-        fit = least_squares(reprojection, {"pose": _as_se3(poses)}, weights, max_iterations=10, gradient=gradient)
-        return fit.variables["pose"]
+    reprojection = ReprojectionError(img_points, intrinsics, world_points)
+
+    def fit(poses: Tensor, weights: Tensor) -> Tensor:
+        start = {"pose": _as_se3(poses[:, 0])}
+        pose = least_squares(reprojection, start, weights[:, 0], max_iterations=3, gradient="none").variables["pose"]
+        return pose.matrix()[:, None, :3]
 
     with torch.no_grad():
-        pose, inliers = _estimated(
-            hypotheses(draws), errors, lambda P, near: refit(P, near, False).matrix()[:, :3], threshold, mask
-        )
+        pose, weights, inliers = _estimated(hypotheses(draws), errors, fit, threshold, mask)
         is_valid = inliers.sum(1) >= 4
-        inliers = inliers & is_valid[:, None]
-    found = refit(pose, torch.where(is_valid[:, None], inliers, True), True)
-    is_valid = is_valid & found.t.isfinite().all(-1)
-    return poses_where(is_valid, found), is_valid, inliers & is_valid[:, None]
+        weights = torch.where(is_valid[:, None], weights, 1)
+    solution = least_squares(reprojection, {"pose": _as_se3(pose)}, weights, max_iterations=10).variables["pose"]
+    is_valid = is_valid & solution.t.isfinite().all(-1)
+    return poses_where(is_valid, solution), is_valid, inliers & is_valid[:, None]
 
 
 def kabsch_ransac(
@@ -126,7 +124,7 @@ def kabsch_ransac(
 
     Returns:
         The motions (B,), a mask (B,) of those that were found, others are NaN, and the inliers, bool (B, N). A motion needs three
-        inliers that are not on one line. Gradients are those of :func:`kabsch` of the inliers.
+        inliers that are not on one line. Gradients are those of :func:`kabsch` with the weights of sigma-consensus++.
 
     Raises:
         TypeError: points are not floating-point tensors; `mask` is not bool.
@@ -166,7 +164,7 @@ def umeyama_ransac(
 
     Returns:
         The similarities (B,), a mask (B,) of those that were found, others are NaN, and the inliers, bool (B, N). A similarity
-        needs three inliers that are not on one line. Gradients are those of :func:`umeyama` of the inliers.
+        needs three inliers that are not on one line. Gradients are those of :func:`umeyama` with the weights of sigma-consensus++.
 
     Raises:
         TypeError: points are not floating-point tensors; `mask` is not bool.
@@ -213,10 +211,11 @@ def _aligned_robustly(
     with torch.no_grad():
         x, y = (_at(p, draws).flatten(0, 1) for p in (points1, points2))
         hypotheses = fitted(x, y, None).unflatten(0, (batch, -1))
-        refit = lambda _, near: fitted(points1, points2, near.to(points1.dtype))  # noqa: E731
-        _, inliers = _estimated(hypotheses, errors, refit, threshold, mask)
+        fit = lambda _, weights: fitted(points1, points2, weights[:, 0])[:, None]  # noqa: E731
+        _, weights, inliers = _estimated(hypotheses, errors, fit, threshold, mask)
         inliers = inliers & (inliers.sum(1, keepdim=True) >= 3)
-    result, is_valid = align(points1, points2, inliers.to(points1.dtype))
+        weights = torch.where(inliers.any(1, keepdim=True), weights, 0)
+    result, is_valid = align(points1, points2, weights)
     return result, is_valid, inliers & is_valid[:, None]
 
 
@@ -277,31 +276,17 @@ def _squared_errors(poses: Tensor, X: Tensor, x: Tensor, K: Tensor) -> Tensor:
 
 
 def _estimated(
-    hypotheses: Tensor,
-    errors: Callable[[Tensor], Tensor],
-    refit: Callable[[Tensor, Tensor], Tensor],
-    threshold: float,
-    mask: Tensor | None,
-) -> tuple[Tensor, Tensor]:
-    """The best of models (B, S, 3, 4), refined, and its inliers, bool (B, N).
+    hypotheses: Tensor, errors: Errors, fit: Fit, threshold: float, mask: Tensor | None
+) -> tuple[Tensor, Tensor, Tensor]:
+    """The best of models (B, S, 3, 4), fitted by sigma-consensus++, the weights (B, N) of its next fit, and its inliers."""
 
-    `errors` gives squared errors (B, S, N), `refit` models (B, 3, 4) of a model and of the points to fit it to. A score is the sum
-    of 1 - e^2 / t^2 over inliers.
-    """
-
-    def scored(models: Tensor) -> tuple[Tensor, Tensor]:
+    def of_existing(models: Tensor) -> Tensor:
         e = errors(models)
-        e = e if mask is None else torch.where(mask[:, None], e, torch.inf)
-        return e, torch.where(e <= threshold**2, 1 - e / threshold**2, 0).sum(-1)
+        return e if mask is None else torch.where(mask[:, None], e, torch.nan)
 
     hypotheses = hypotheses.nan_to_num(0.0)
-    e, scores = scored(hypotheses)
-    row, best = torch.arange(len(hypotheses), device=hypotheses.device), scores.argmax(1)
-    model, e, score = hypotheses[row, best], e[row, best], scores[row, best]
-    for width in _WIDTHS:
-        other = refit(model, e <= (width * threshold) ** 2).to(model.dtype).nan_to_num(0.0)
-        other_e, other_score = (x[:, 0] for x in scored(other[:, None]))
-        is_better = other_score > score
-        model = torch.where(is_better[:, None, None], other, model)
-        e, score = torch.where(is_better[:, None], other_e, e), torch.where(is_better, other_score, score)
-    return model, e <= threshold**2
+    reach = _REACH * threshold
+    best = consensus(of_existing(hypotheses), threshold)[1].sum(-1).argmax(1)
+    start = hypotheses[torch.arange(len(best), device=best.device), best][:, None]
+    model, e = best_fits(start, of_existing, lambda P, w: fit(P, w).to(P.dtype).nan_to_num(0.0), reach, _ROUNDS)
+    return model, consensus(e, reach)[0].to(model.dtype), e <= threshold**2

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks import augmentation_bars, augmentation_table, inputs, results
+import kvision.augmentation as A
+from benchmarks import augmentation_bars, augmentation_table, corruptions, inputs, results
 
 
 def test_table_by_size_and_batch(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -29,6 +30,18 @@ def test_bars(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str
     lines = capsys.readouterr().out.splitlines()
     assert [line[:20].rstrip() for line in lines[-len(small) :]] == [p.name for p in small]
     assert augmentation_bars.checked(0.2, 0.1, 3) == "0.200! (0.1)" and augmentation_bars.checked(7, None, 0) == "7"
+
+
+def test_corruptions(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """Rows by parts of names; classes and common corruptions have them, and those with a reason are among them."""
+    for name, value in (("CPU_BATCH", 1), ("SIDE", 48)):
+        monkeypatch.setattr(corruptions, name, value)
+    monkeypatch.setattr("benchmarks.timing.CpuClock.copy_bandwidth", lambda self: 1e10)
+    assert corruptions.main(["Grid", "contrast", "--device", "cpu", "--seconds", "0"]) == 0
+    rows = [line.split()[0] for line in capsys.readouterr().out.splitlines()[3:]]
+    assert rows == ["GridDropout", "GridMask", "GridDistortion", "contrast"]
+    names = {name for name, _ in corruptions.augmentations()}
+    assert names >= {*corruptions.REASONS, *A.CommonCorruption.NAMES}
 
 
 def test_inputs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

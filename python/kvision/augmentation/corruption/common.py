@@ -61,8 +61,8 @@ def _glass_blur(x: Tensor, drawn: Params, sigma: float, max_delta: int, iteratio
 
 
 def _defocus_blur(x: Tensor, drawn: Params, radius: float, alias_blur: float) -> Tensor:
-    numbers = (x.new_full((1,), value) for value in (radius, alias_blur))
-    return filter2d(x, disk_kernels(*numbers, int(radius)))
+    kernel = disk_kernels(x.new_full((1,), radius), x.new_full((1,), alias_blur), int(radius))
+    return filter2d(x, kernel)
 
 
 def _motion_blur(x: Tensor, drawn: Params, radius: int, sigma: float) -> Tensor:
@@ -140,7 +140,7 @@ def _saturate(x: Tensor, drawn: Params, factor: float, change: float) -> Tensor:
 def _elastic_transform(x: Tensor, drawn: Params, alpha: float) -> Tensor:
     height, width = x.shape[-2:]
     sigma = height * 0.01, width * 0.01
-    sides = tuple(2 * int(3 * s + 0.5) + 1 for s in sigma)
+    sides = 2 * int(3 * sigma[0] + 0.5) + 1, 2 * int(3 * sigma[1] + 0.5) + 1
     noise = (2 * drawn["noise"] - 1) * (height * 0.005)
     moved = alpha * gaussian_blur2d(noise, sides, sigma)
     return maps.read_displaced(x, moved, Resampling("bilinear", "reflection", False))
@@ -285,8 +285,8 @@ class CommonCorruption(IntensityAugmentationBase2D, keeps_contract=True):
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
         x = input.to(compute_dtype(input))
-        drawn = {name: params[name].to(x) for name in ("noise", "angle", "plasma") if name in params}
+        drawn: Params = {name: params[name].to(x) for name in ("noise", "angle", "plasma") if name in params}
         if self.texture is not None:
-            drawn["frost"] = cut_textures("CommonCorruption", self.texture, params, x)
+            drawn["frost"] = cut_textures(self, params, x)
         corruption = CORRUPTIONS[self.name]
         return clamp(corruption.apply(x, drawn, *corruption.severities[self.severity - 1]), 0, 1)

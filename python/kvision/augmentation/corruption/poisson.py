@@ -15,6 +15,7 @@ def poisson_quantile(u: Tensor, rate: Tensor) -> Tensor:
     z = torch.special.ndtri(u.clamp(1e-7, 1 - 1e-7))
     count = (rate + rate.sqrt() * z + (z * z - 1) / 6).floor().clamp(min=0)
     count = torch.where(rate < 0.1, count.clamp(max=1), count)
-    is_below = torch.special.gammaincc(count + 1, rate) < u
-    is_above = (count > 0) & (torch.special.gammaincc(count.clamp(min=1), rate) >= u)
-    return count + is_below.to(count) - is_above.to(count)
+    probability = (count * rate.clamp(min=1e-30).log() - rate - torch.lgamma(count + 1)).exp()
+    cumulative = torch.special.gammaincc(count + 1, rate)
+    is_above = (count > 0) & (cumulative - probability >= u)
+    return count + (cumulative < u).to(count) - is_above.to(count)

@@ -87,16 +87,25 @@ def as_textures(op: str, texture: Any) -> Tensor:
     return textures.float() / 255 if textures.dtype == torch.uint8 else textures.detach()
 
 
-def cut_textures(op: str, textures: Tensor, params: Params, x: Tensor) -> Tensor:
-    """A window of a texture for each image, by uniform numbers `texture`, `top` and `left`; gray for other channels than 3."""
+def cut_textures(module: Any, params: Params, x: Tensor) -> Tensor:
+    """A window of the textures of a module for each image, by uniform numbers `texture`, `top` and `left`.
+
+    Images of other than 3 channels get its mean. Textures move to the device of the first images.
+    """
+    if module.texture.device != x.device:
+        module.texture = module.texture.to(x.device)
+    op, textures = type(module).__name__, module.texture
     (count, _, tall, wide), (height, width) = textures.shape, x.shape[-2:]
     if tall < height or wide < width:
         raise ShapeError(f"{op}: expected texture of at least {height} x {width} pixels, got {tall} x {wide}")
     u, down, right = (params[name].to(x.device, torch.float64)[:, None, None] for name in ("texture", "top", "left"))
-    index = (u * count).long()
-    rows = (down * (tall - height + 1)).long() + torch.arange(height, device=x.device)[:, None]
-    columns = (right * (wide - width + 1)).long() + torch.arange(width, device=x.device)
-    windows = textures.to(x.device, compute_dtype(x))[index, :, rows, columns].movedim(-1, 1)
+    # Numbers below 1 may have been rounded to it.
+    index = (u * count).long().clamp(max=count - 1)
+    first_row = (down * (tall - height + 1)).long().clamp(max=tall - height)
+    first_column = (right * (wide - width + 1)).long().clamp(max=wide - width)
+    rows = first_row + torch.arange(height, device=x.device)[:, None]
+    columns = first_column + torch.arange(width, device=x.device)
+    windows = textures.to(compute_dtype(x))[index, :, rows, columns].movedim(-1, 1)
     return windows if x.shape[1] == 3 else windows.mean(1, keepdim=True)
 
 
@@ -151,7 +160,7 @@ class RandomFrost(IntensityAugmentationBase2D, keeps_contract=True):
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
         of_image, of_frost = in_type_of(params, input, "image_weight", "frost_weight")
-        return clamp(of_image * input + of_frost * cut_textures("RandomFrost", self.texture, params, input), 0, 1)
+        return clamp(of_image * input + of_frost * cut_textures(self, params, input), 0, 1)
 
 
 class Spatter(IntensityAugmentationBase2D, keeps_contract=True):

@@ -117,8 +117,8 @@ class GridDropout(DropoutBase, keeps_contract=True):
             .unbind(1)
         )
         y, x = (
-            y[:, :, None] - (u_y * (free_y[:, :, None] + 1)).floor(),
-            x[:, None] - (u_x * (free_x[:, None] + 1)).floor(),
+            y[:, :, None] - (u_y * (free_y[:, :, None] + 1)).floor().minimum(free_y[:, :, None]),
+            x[:, None] - (u_x * (free_x[:, None] + 1)).floor().minimum(free_x[:, None]),
         )
         return (y >= 0) & (y < tall[:, :, None]) & (x >= 0) & (x < wide[:, None])
 

@@ -1,0 +1,119 @@
+"""`python -m benchmarks.corruptions [NAMES]`: occlusion, corruption and distortion of batches, next to their floors.
+
+Milliseconds of a batch of 3 x 224 x 224 pixels, float32 and uint8, and in floors: the images read once and the results written
+once. The bar on an NVIDIA H200 is 2.5 floors; more has an exclamation mark, or the reason why it needs more. On a GPU launches
+are counted, too.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+
+import kvision.augmentation as A
+from benchmarks import machine
+from benchmarks.case import photographs
+from benchmarks.peers import set_threads
+from benchmarks.sample_calls.augmentations import CORRUPTION, DISTORTION, OCCLUSION
+from benchmarks.timing import clock, launches
+
+BAR = 2.5  # floors
+SIDE = 224
+CPU_BATCH, GPU_BATCH = 4, 128
+# Why a class needs more than the bar: it is composed of torch's operations, each a pass of its own over what it makes.
+NOISE = "draws a map of noise, which is written and read again"
+REASONS = {
+    "ChromaticAberration": "maps of two lenses a sample",
+    "Defocus": "a window of 21 x 21 taps",
+    "Downscale": "two products of matrices",
+    "GlassBlur": "two blurs and a gather; " + NOISE,
+    "GridDistortion": "a map is written and read again",
+    "GridDropout": "a gather of the offset of each pixel",
+    "GridMask": "a float64 map of the grid",
+    "ISONoise": "HLS and back, Poisson counts of the incomplete gamma function; " + NOISE,
+    "MultiplicativeNoise": NOISE,
+    "OpticalDistortion": "a map is written and read again",
+    "PiecewiseAffine": "four gathers make a map",
+    "PixelDropout": NOISE,
+    "RandomFog": "a fractal map in float64",
+    "RingingOvershoot": "a window of 15 x 15 taps",
+    "ShotNoise": "Poisson counts of the incomplete gamma function; " + NOISE,
+    "Spatter": "two blurs; " + NOISE,
+    "SpeckleNoise": NOISE,
+    "Swirl": "a map is written and read again",
+    "ZoomBlur": "up to 30 enlargements",
+    "gaussian_noise": NOISE,
+    "shot_noise": "Poisson counts of the incomplete gamma function; " + NOISE,
+    "impulse_noise": NOISE,
+    "speckle_noise": NOISE,
+    "defocus_blur": "a window of 13 x 13 taps",
+    "glass_blur": "two blurs and a gather; " + NOISE,
+    "motion_blur": "31 gathers",
+    "zoom_blur": "10 enlargements",
+    "snow": "25 gathers; " + NOISE,
+    "fog": "a fractal map in float64",
+    "elastic_transform": "a map of blurred noise",
+    "jpeg_compression": "a differentiable codec",
+    "pixelate": "two products of matrices",
+    "brightness": "HSV and back",
+    "saturate": "HSV and back",
+}
+
+
+def augmentations() -> Iterator[tuple[str, Callable[..., Any]]]:
+    """The classes by name, and the common corruptions in severity 3, which all samples get."""
+    for case in (*OCCLUSION, *CORRUPTION, *DISTORTION):
+        if case.name != "CommonCorruption":
+            arguments = case.args if case.large is None else case.large
+            yield case.name, getattr(A, case.name)(*arguments, **case.kwargs, p=1.0)
+    for name in A.CommonCorruption.NAMES:
+        texture = torch.rand(3, 2 * SIDE, 2 * SIDE) if name == "frost" else None
+        yield name, A.CommonCorruption(name, 3, texture)
+
+
+def figure(augment: Callable[..., Any], images: Tensor, stopwatch: Any, bandwidth: float) -> tuple[float, float]:
+    """Milliseconds of a call, and floors."""
+    timing = stopwatch.time(lambda: augment(images))
+    seconds = stopwatch.value(timing)
+    return 1e3 * seconds, seconds * bandwidth / (2 * images.nbytes)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    parse = argparse.ArgumentParser(prog="python -m benchmarks.corruptions", description=__doc__)
+    parse.add_argument("names", nargs="*", metavar="NAME", help="parts of the names to run; default: all")
+    parse.add_argument("--device", choices=("cpu", "cuda"), default="cuda" if torch.cuda.is_available() else "cpu")
+    parse.add_argument("--seconds", type=float, default=0.1, help="time for one figure (default 0.1)")
+    parse.add_argument("--threads", type=int, default=1, help="of torch on the CPU (default 1)")
+    options = parse.parse_args(arguments)
+    set_threads(options.threads)
+    device = torch.device(options.device)
+    stopwatch, on_gpu = clock(device, options.seconds), device.type == "cuda"
+    (images,) = photographs((GPU_BATCH if on_gpu else CPU_BATCH, 3, SIDE, SIDE), torch.float32, device)
+    inputs = images, (255 * images).round().to(torch.uint8)
+    bandwidth = stopwatch.copy_bandwidth()
+    about = machine.describe(device, [])
+    copies = [1e3 * stopwatch.value(stopwatch.time(x.clone)) for x in inputs]
+    print(f"{about['hardware']} / {about['cpu']}  threads {about['threads']}  {about['date']}  torch {about['torch']}")
+    print(f"{len(images)}x3x{SIDE}x{SIDE}, a copy of float32 {copies[0]:.3f} ms, of uint8 {copies[1]:.3f} ms")
+    print(f"{'':22}{'float32 ms':>12}{'floors':>9}{'uint8 ms':>12}{'floors':>9}{'launches':>10}")
+    for name, augment in augmentations():
+        if options.names and not any(part in name for part in options.names):
+            continue
+        cells, is_missed = [], False
+        for x in inputs:
+            milliseconds, floors = figure(augment, x, stopwatch, bandwidth)
+            is_missed = is_missed or floors > BAR
+            cells.append(f"{milliseconds:12.3f}{floors:9.1f}")
+        count = f"{launches(lambda augment=augment: augment(images)):.0f}" if on_gpu else "-"
+        reason = "  " + REASONS.get(name, "!") if is_missed else ""
+        print(f"{name:22}{''.join(cells)}{count:>10}{reason}", flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

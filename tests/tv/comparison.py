@@ -92,15 +92,15 @@ COLORS: list[tuple[str, tuple[Any, ...], dict[str, Any]]] = [
 CHAINS = ("ColorJitter", "RandomPhotometricDistort", "AutoAugment", "RandAugment", "AugMix")
 
 
-def differences(ours: Any, theirs: Any, levels: float = 1, where: str = "") -> list[str]:
-    """What differs: types, formats, shapes, or more than .1% of the values by more than `levels` or 2e-5."""
+def differences(ours: Any, theirs: Any, levels: float = 1, floats: float = 2e-5, where: str = "") -> list[str]:
+    """What differs: types, formats, shapes, or more than .1% of the values by more than `levels` or `floats`."""
     if type(ours) is not type(theirs):
         return [f"{where}: {type(ours).__name__}, not {type(theirs).__name__}"]
     if isinstance(theirs, dict):
-        return [d for k in theirs for d in differences(ours[k], theirs[k], levels, f"{where}.{k}")]
+        return [d for k in theirs for d in differences(ours[k], theirs[k], levels, floats, f"{where}.{k}")]
     if isinstance(theirs, (tuple, list)):
         pairs = enumerate(zip(ours, theirs, strict=True))
-        return [d for i, (x, y) in pairs for d in differences(x, y, levels, f"{where}[{i}]")]
+        return [d for i, (x, y) in pairs for d in differences(x, y, levels, floats, f"{where}[{i}]")]
     if hasattr(theirs, "getbands"):
         import numpy as np
 
@@ -116,8 +116,30 @@ def differences(ours: Any, theirs: Any, levels: float = 1, where: str = "") -> l
     ]
     if not found:
         distance = (ours.as_subclass(Tensor).double() - theirs.as_subclass(Tensor).double()).abs()
-        limit = 2e-5 if theirs.is_floating_point() else levels
+        limit = floats if theirs.is_floating_point() else levels
         share = (distance > limit).double().mean() if distance.numel() else 0.0
         if share > 1e-3:
             found.append(f"{where}: {share:.2%} differ, by {distance.max():.3g} at most")
     return found
+
+
+def recipes(m: Any) -> dict[str, tuple[str, Any]]:
+    """The presets of torchvision's training scripts, of a module, and the kind of sample that they take."""
+    from torchvision.tv_tensors import Mask
+
+    to_float = m.ToDtype(torch.float32, scale=True)
+    normalize = m.Normalize((0.485, 0.456, 0.406), (0.229, 0.224, 0.225))
+    end, flip = [to_float, normalize], m.RandomHorizontalFlip()
+    train = [m.RandomResizedCrop(32, antialias=True), flip, m.TrivialAugmentWide(), *end, m.RandomErasing(0.1)]
+    out = m.RandomZoomOut(fill={"others": (123.0, 117.0, 104.0), Mask: 0})
+    jitter = [m.ScaleJitter((50, 50)), m.RandomCrop(50, pad_if_needed=True, fill=0), flip, to_float]
+    crop = m.RandomCrop(28, pad_if_needed=True)
+    return {
+        "classification": ("classification", train),
+        "evaluation": ("classification", [m.Resize(40, antialias=True), m.CenterCrop(32), *end]),
+        "SSD": ("detection", [m.RandomPhotometricDistort(), out, m.RandomIoUCrop(), flip, to_float]),
+        "large scale jitter": ("detection", [*jitter, m.SanitizeBoundingBoxes()]),
+        "multiscale": ("detection", [m.RandomShortestSize((30, 40, 50), max_size=70), flip, to_float]),
+        "segmentation": ("segmentation", [m.RandomResize(30, 100), flip, crop, *end]),
+        "video": ("video", [to_float, m.Resize((40, 50), antialias=False), flip, normalize, m.RandomCrop((32, 32))]),
+    }

@@ -33,7 +33,7 @@ def _rounded(x: Tensor, wr: Tensor, wg: Tensor, wb: Tensor) -> Tensor:
 
 weighted_sum = step("weighted_sum", _weighted)
 _luma_u8_fixed_point = step("luma_u8_fixed_point", _fixed_point)
-_luma_u8 = step("luma_u8", _rounded)
+luma_u8 = step("luma_u8", _rounded)
 
 
 def rgb_to_grayscale(image: Tensor, rgb_weights: Tensor | None = None) -> Tensor:
@@ -67,7 +67,7 @@ def rgb_to_grayscale(image: Tensor, rgb_weights: Tensor | None = None) -> Tensor
     if rgb_weights is not None:
         _check.shape("rgb_to_grayscale", "rgb_weights", rgb_weights, 3)
         rgb_weights = _check.to_device_of("rgb_to_grayscale", image, "rgb_weights", rgb_weights, of="image")
-        weighted = _luma_u8 if image.dtype == torch.uint8 else weighted_sum
+        weighted = luma_u8 if image.dtype == torch.uint8 else weighted_sum
         return apply_on_batch(weighted, image, rgb_weights.reshape(1, 1, 3))
     if image.dtype == torch.uint8:
         return apply_on_batch(_luma_u8_fixed_point, image, *_BYTE_LUMA)

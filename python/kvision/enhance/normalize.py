@@ -30,7 +30,7 @@ def _to_unit_rgb(x: Tensor, *p: float | Tensor) -> Tensor:
 
 
 _normalize = step("standardize", _to_unit)
-_normalize_rgb = step("standardize_rgb", _to_unit_rgb)
+standardize_rgb = step("standardize_rgb", _to_unit_rgb)
 
 
 def normalize(data: Tensor, mean: float | Tensor, std: float | Tensor) -> Tensor:
@@ -60,7 +60,7 @@ def normalize(data: Tensor, mean: float | Tensor, std: float | Tensor) -> Tensor
     """
     x, m, s = _arguments("normalize", data, mean, std)
     if _is_rgb(x, m, s):
-        return shaped(_normalize_rgb(x, *_columns(m), *_columns(s)), data)
+        return shaped(standardize_rgb(x, *_columns(m), *_columns(s)), data)
     return shaped(_normalize(x, _rows(m), _rows(s)), data)
 
 

@@ -158,6 +158,18 @@ class RandomTransform(Transform):
     def _flat(self, flat: list[Any], needed: list[bool]) -> list[Any]:
         return flat if torch.rand(1).item() >= self.p else super()._flat(flat, needed)
 
+    def _each(self, flat: list[Any], needed: list[bool], samples: int) -> list[Any]:
+        if type(self).make_params is not Transform.make_params:
+            return super()._each(flat, needed, samples)
+        # Only p is drawn: the samples that it chooses are transformed in one call.
+        chosen = [i for i in range(samples) if torch.rand(1).item() < self.p]
+        return [self._at(x, chosen) if is_needed else x for x, is_needed in zip(flat, needed)] if chosen else flat
+
+    def _at(self, x: Any, chosen: list[int]) -> Any:
+        index = torch.tensor(chosen, device=x.device)
+        part = self.transform(wrap(plain(x)[index], x), {})
+        return wrap(plain(x).index_copy(0, index, plain(part)), x)
+
 
 def probability(op: str, p: float) -> float:
     p = _check.number(op, "p", p)

@@ -12,19 +12,19 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from kvision._constants import constant
+from kvision._leading import apply_on_batch
 from kvision.color import grayscale_to_rgb as repeated
-from kvision.color import rgb_to_grayscale as weighted_gray
+from kvision.color.gray import luma_u8, weighted_sum
 from kvision.color.matrix import affine_numbers
 from kvision.color.program import arguments, run
 from kvision.color.scale_shift import scale_shift
 from kvision.color.steps import STEPS
 from kvision.core.exceptions import TypeCheckError
 from kvision.enhance import equalize as equalized
-from kvision.enhance import normalize as standardized
 from kvision.enhance import sharpness
 from kvision.enhance import solarize as solarized
 from kvision.enhance.batch import as_batch, shaped
+from kvision.enhance.normalize import standardize_rgb
 from kvision.filters import gaussian_blur2d
 from kvision.tv.functional.dispatch import functional
 from kvision.tv.functional.values import largest, of_all_types, tensors_only, to_dtype, truncated
@@ -63,7 +63,7 @@ def rgb_to_grayscale(inpt: Tensor, num_output_channels: int = 1) -> Tensor:
     if not _is_rgb("rgb_to_grayscale", inpt):
         return inpt.clone() if num_output_channels == 1 else repeated(inpt)
     if inpt.is_floating_point() or inpt.dtype == torch.uint8:
-        gray = weighted_gray(inpt, constant(LUMA, inpt, torch.float32))
+        gray = apply_on_batch(luma_u8 if inpt.dtype == torch.uint8 else weighted_sum, inpt, *LUMA)
     else:
         gray = _gray(inpt).to(inpt.dtype)
     return gray if num_output_channels == 1 else gray.expand(inpt.shape)
@@ -225,10 +225,12 @@ def normalize(inpt: Tensor, mean: Sequence[float], std: Sequence[float], inplace
         raise ValueError(f"normalize: expected an image (*, C, H, W), got {tuple(inpt.shape)}")
     if not all(std):
         raise ValueError(f"normalize: expected std other than 0, got {std}")
-    center, scale = (constant(tuple(map(float, numbers)), inpt) for numbers in (mean, std))
-    if inplace:
-        return inpt.sub_(center[:, None, None]).div_(scale[:, None, None])
-    return shaped(standardized(as_batch(inpt), center, scale), inpt)
+    if inpt.shape[-3] == len(mean) == len(std) == 3 and not inplace:
+        return shaped(standardize_rgb(as_batch(inpt), *map(float, mean), *map(float, std)), inpt)
+    center, scale = (
+        torch.tensor(numbers, dtype=inpt.dtype, device=inpt.device)[:, None, None] for numbers in (mean, std)
+    )
+    return (inpt.sub_(center) if inplace else inpt.sub(center)).div_(scale)
 
 
 def _two_numbers(op: str, name: str, value: Any) -> tuple[Any, Any]:

@@ -28,6 +28,7 @@ from mkdocs.utils import get_relative_url
 import kvision as K
 
 sys.path.insert(0, str(Path(__file__).parent))
+import search
 import strips
 
 ROOT = Path(__file__).parents[2]
@@ -303,7 +304,11 @@ GALLERY = re.compile(r"<div class=\"gallery\".*?</div>", re.DOTALL)
 def on_page_content(html: str, page: Page, config: MkDocsConfig, files: Files) -> str:
     def figures(block: re.Match[str]) -> str:
         return (
-            re.sub(r'(<img alt="([^"]*)"[^>]*?/?>)\s*', r"<figure>\1<figcaption>\2</figcaption></figure>", block[0])
+            re.sub(
+                r'(<img alt="([^"]*)"[^>]*?/?>)\s*',
+                r"<figure>\1<figcaption><code>\2</code></figcaption></figure>",
+                block[0],
+            )
             .replace("<p>", "<div>")
             .replace("</p>", "</div>")
         )
@@ -318,3 +323,7 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
     if page.file.src_uri.startswith("reference/") and page.file.src_uri != "reference/pictures.md":
         text = add_docstrings(text, page.file.src_uri)
     return text
+
+
+def on_post_build(config: MkDocsConfig) -> None:
+    search.index(Path(config.site_dir))

@@ -80,14 +80,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 list(photos) if options.images else [], device, lambda i, _: bar.update(before + i - bar.n)
             )
 
-    sections = [section(sheet, columns, names, photos) for sheet, columns in done]
-    sections.append(augmentation.section(augmented, names[0]))
-    width = max(len(section.columns) for section in sections)
-    sections += [wheel(photos[0], names[0], width), restoration(restored, names, photos, width)]
+    pages = {sheet.title.split()[0].lower(): [section(sheet, columns, names, photos)] for sheet, columns in done}
+    pages["augmentation"] = [augmentation.section(augmented, names[0])]
+    pages["color"].append(wheel(photos[0], names[0], len(pages["color"][0].columns)))
+    pages["filters"].append(restoration(restored, names, photos, len(pages["filters"][0].columns)))
     if attacked is not None:
-        sections.append(attack.section(attacked))
-    path = options.out / "gallery.png"
-    gallery.page(f"kvision {kvision.__version__}", about, sections).save(path)
+        pages["features"].append(attack.section(attacked))
+    for name, sections in pages.items():
+        page = gallery.page(f"kvision {kvision.__version__}: {name}", about, sections)
+        gallery.save(page, options.out / f"gallery_{name}.jpg")
     save_results(options.out, names, done, restored)
     print_table([column for _, columns in done for column in columns])
     backend = "native" if native_operators(lambda: blur(photos)) else "reference"
@@ -96,7 +97,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         f"loss {restored.losses[0]:.1e} -> {restored.losses[-1]:.1e}, "
         f"{decibels(restored)}\n"
         + (f"attacked: {attacked.figures}\n" if attacked is not None else "")
-        + f"gallery: {path}"
+        + f"gallery: {options.out}/gallery_{{{','.join(pages)}}}.jpg"
     )
     return 0
 
@@ -125,13 +126,14 @@ def square(picture: Tensor) -> Tensor:
 
 def section(sheet: Sheet, columns: Sequence[Column], names: Sequence[str], photos: Tensor) -> gallery.Section:
     """A sheet as a grid: the photos, then for each step its result, and its input where that is not the photos."""
-    shown = [("photo", "", photos)]
+    shown = [("photo", "", "x, a photo", photos)]
     for column in columns:
         if column.input is not None:
-            shown.append((column.input[0], "", column.input[1]))
-        shown.append((column.title, f"{column.ms:.2f} ms", column.pictures))
+            shown.append((column.input[0], "", "x of the next column", column.input[1]))
+        shown.append((column.title, f"{column.ms:.2f} ms", column.caption, column.pictures))
     rows = [(name, [gallery.picture(pictures[i]) for *_, pictures in shown]) for i, name in enumerate(names)]
-    return gallery.Section(sheet.title, [(title, note) for title, note, _ in shown], rows)
+    columns_shown = [(title, note) for title, note, *_ in shown]
+    return gallery.Section(sheet.title, columns_shown, rows, [caption for _, _, caption, _ in shown])
 
 
 def wheel(photo: Tensor, name: str, width: int) -> gallery.Section:

@@ -55,7 +55,7 @@ def rows(side: int) -> list[Row]:
         Row("color jitter", A.ColorJitter(0.4, 0.4, 0.6, 0.3, p=1.0)),
         Row("erasing", A.RandomErasing((0.05, 0.2), value=0.5, p=1.0)),
         Row("plasma shadow", A.RandomPlasmaShadow((0.5, 0.8), (-0.6, -0.3), (0.4, 0.6), p=1.0)),
-        Row("rain", A.RandomRain((150, 400), (side // 32, side // 12), (-side // 24, side // 24), p=1.0)),
+        Row("rain", A.RandomRain((300, 500), (side // 8, side // 4), (-side // 16, side // 16), p=1.0)),
         Row("RandAugment", A.auto.RandAugment(2, 15)),
         Row(
             "A: crop, flip, jitter, normalize",

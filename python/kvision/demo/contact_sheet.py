@@ -14,16 +14,32 @@ from kvision.demo import gallery
 from kvision.demo.__main__ import SHEETS, load
 from kvision.demo.restore import blur, restore
 
-TILE, GAP, LABEL, ALONE = 176, 8, 22, 288  # pixels; ALONE is the side of a picture in a file of its own
+TILE, GAP, LABEL, ALONE = 176, 8, 38, 288  # pixels; ALONE is the side of a picture in a file of its own
 STEPS = 150  # of the restoration
 
-# (photo, step of the gallery), row by row; "photo", "blurred" and "restored" are no steps.
+# Photo, step of the gallery, and what made it of the photo x, row by row; "photo", "blurred" and "restored" are no steps.
 COLUMNS = 6
-CELLS = [
-    *[("astronaut", title) for title in ("photo", "canny", "bilateral", "plasma", "blurred", "restored")],
-    *[("chelsea", title) for title in ("photo", "sobel", "hue", "mosaic", "motion blur", "pixels")],
-    *[("coffee", title) for title in ("photo", "perspective", "elastic", "clahe", "sepia", "lab")],
+CALLS = [
+    ("astronaut", "photo", "io.load_image(path)"),
+    ("astronaut", "canny", "canny(x)[1]"),
+    ("astronaut", "bilateral", "bilateral_blur(x, 21, 0.5, (7, 7))"),
+    ("astronaut", "plasma", "apply_colormap(gray, plasma)"),
+    ("astronaut", "blurred", "gaussian_blur2d(x, 19, (3, 3))"),
+    ("astronaut", "restored", "by descent through the blur"),
+    ("chelsea", "photo", "io.load_image(path)"),
+    ("chelsea", "sobel", "4 * sobel(x)"),
+    ("chelsea", "hue", "rgb_to_hsv(x): its hue alone"),
+    ("chelsea", "mosaic", "extract_tensor_patches, sorted"),
+    ("chelsea", "motion blur", "motion_blur(x, 21, 35.0, 0.0)"),
+    ("chelsea", "pixels", 'resize(small, 320, "nearest")'),
+    ("coffee", "photo", "io.load_image(path)"),
+    ("coffee", "perspective", "warp_perspective(x, matrix, size)"),
+    ("coffee", "elastic", "elastic_transform2d(x, noise)"),
+    ("coffee", "clahe", "equalize_clahe(x, 4.0)"),
+    ("coffee", "sepia", "sepia(x)"),
+    ("coffee", "lab", "rgb_to_lab(x) at one lightness"),
 ]
+CELLS = [(photo, title) for photo, title, _ in CALLS]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -60,14 +76,15 @@ def cells() -> list[Image.Image]:
 
 
 def contact_sheet(pictures: Sequence[Image.Image]) -> Image.Image:
-    """The results of CELLS on a page, each with its title below."""
+    """The results of CELLS on a page, each with its title and its call below."""
     rows = -(-len(CELLS) // COLUMNS)
     page = Image.new("RGB", (COLUMNS * (TILE + GAP) + GAP, rows * (TILE + LABEL + GAP) + GAP), gallery.PAPER)
-    draw, font = ImageDraw.Draw(page), ImageFont.load_default(14)
-    for i, ((_, title), picture) in enumerate(zip(CELLS, pictures)):
+    draw, font, small = ImageDraw.Draw(page), ImageFont.load_default(14), ImageFont.load_default(11)
+    for i, ((_, title, call), picture) in enumerate(zip(CALLS, pictures)):
         x, y = GAP + i % COLUMNS * (TILE + GAP), GAP + i // COLUMNS * (TILE + LABEL + GAP)
         page.paste(resized(picture, TILE), (x, y))
         draw.text((x, y + TILE + 4), title, fill=gallery.INK, font=font)
+        draw.text((x, y + TILE + 20), call, fill=gallery.FAINT, font=small)
     return page
 
 

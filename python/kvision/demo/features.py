@@ -127,7 +127,15 @@ def draw_matches(matched: Matches) -> Tensor:
 SHEET = Sheet(
     "Features",
     [
-        Step("key points", key_points, key_points_opencv, draw_key_points),
-        Step("matches", matches, show=draw_matches),
+        Step(
+            "key points",
+            "SIFTFeature(500)(x): the 60 strongest, with size and orientation",
+            key_points,
+            key_points_opencv,
+            draw_key_points,
+        ),
+        Step(
+            "matches", "match_smnn_batched(descriptors, others, 0.9): right ones are green", matches, show=draw_matches
+        ),
     ],
 )

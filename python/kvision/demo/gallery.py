@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
 
 from PIL import Image, ImageDraw, ImageFont
 from torch import Tensor
@@ -13,16 +15,18 @@ from kvision.core.pixels import to_uint8
 from kvision.image import tensor_to_image
 
 MARGIN, GAP = 48, 10
+LARGEST = 1_000_000  # bytes of a file
 PAPER, INK, FAINT, ACCENT = "white", "#1a1a1a", "#8a8a8a", "#c2410c"
 
 
 @dataclass(frozen=True)
 class Section:
-    """A titled grid. `columns` are (title, note), `rows` are (label, cells)."""
+    """A titled grid. `columns` are (title, note), `rows` are (label, cells); `captions` stand below the columns."""
 
     title: str
     columns: Sequence[tuple[str, str]]
     rows: Sequence[tuple[str, Sequence[Image.Image]]]
+    captions: Sequence[str] = ()
 
 
 def picture(tensor: Tensor) -> Image.Image:
@@ -67,6 +71,16 @@ def page(title: str, note: str, sections: Sequence[Section]) -> Image.Image:
     return sheet
 
 
+def save(sheet: Image.Image, path: Path) -> None:
+    """Write a JPEG of less than LARGEST bytes, as well as that allows."""
+    for quality in range(88, 20, -8):
+        written = BytesIO()
+        sheet.save(written, "JPEG", quality=quality)
+        if written.tell() < LARGEST:
+            break
+    path.write_bytes(written.getvalue())
+
+
 def _heading(title: str, note: str) -> Image.Image:
     large, small = ImageFont.load_default(52), ImageFont.load_default(22)
     image = Image.new("RGB", (math.ceil(max(large.getlength(title), small.getlength(note))), 100), PAPER)
@@ -81,7 +95,12 @@ def _section(section: Section) -> Image.Image:
     widths = [max(cells[i].width for _, cells in section.rows) for i in range(len(section.columns))]
     heights = [max(cell.height for cell in cells) for _, cells in section.rows]
     first_x, first_y = 34, 92  # room for the row labels and for the titles
-    size = (first_x + sum(widths) + GAP * (len(widths) - 1), first_y + sum(heights) + GAP * (len(heights) - 1))
+    captions = [_wrapped(text, width, note_font) for text, width in zip(section.captions, widths)]
+    below = 8 + 24 * max((text.count("\n") + 1 for text in captions), default=0)
+    size = (
+        first_x + sum(widths) + GAP * (len(widths) - 1),
+        first_y + sum(heights) + GAP * (len(heights) - 1) + below,
+    )
     image = Image.new("RGB", size, PAPER)
     draw = ImageDraw.Draw(image)
     draw.text((0, 0), section.title, fill=INK, font=title_font, anchor="lt")
@@ -99,7 +118,23 @@ def _section(section: Section) -> Image.Image:
             image.paste(cell, (x, y))
             x += width + GAP
         y += height + GAP
+    x = first_x
+    for text, width in zip(captions, widths):
+        draw.multiline_text((x, y - 2), text, fill=INK, font=note_font)
+        x += width + GAP
     return image
+
+
+def _wrapped(text: str, width: int, font: ImageFont.FreeTypeFont | ImageFont.ImageFont) -> str:
+    """The text in lines that are no wider than a column."""
+    lines: list[str] = []
+    for word in text.split():
+        longer = f"{lines[-1]} {word}" if lines else word
+        if lines and font.getlength(longer) <= width:
+            lines[-1] = longer
+        else:
+            lines.append(word)
+    return "\n".join(lines)
 
 
 def _upward(

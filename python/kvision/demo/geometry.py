@@ -65,10 +65,15 @@ def detail(photos: Tensor) -> Tensor:
 SHEET = Sheet(
     "Geometry",
     [
-        Step("rotation", rotate, rotate_opencv),
-        Step("perspective", rectify, rectify_opencv),
-        Step("elastic", elastic),
-        Step("pixels", pixelated),
-        Step("pyramid detail", detail),
+        Step("rotation", "rotate(x, 25): by 25 degrees about the center", rotate, rotate_opencv),
+        Step(
+            "perspective",
+            "warp_perspective(x, matrix, (320, 320)): a quadrangle fills the image",
+            rectify,
+            rectify_opencv,
+        ),
+        Step("elastic", "elastic_transform2d(x, noise, (63, 63), (10.0, 10.0), (1.2, 1.2)): smooth waves", elastic),
+        Step("pixels", 'resize(x, (26, 26), antialias=True), and back with "nearest"', pixelated),
+        Step("pyramid detail", "0.5 + 2 * build_laplacian_pyramid(x, 2)[0]: what a blur takes away", detail),
     ],
 )

@@ -35,10 +35,30 @@ def mosaic(photos: Tensor) -> Tensor:
 SHEET = Sheet(
     "Shapes and patches",
     [
-        Step("dilation", square(morphology.dilation), opencv(cv2.MORPH_DILATE)),
-        Step("erosion", square(morphology.erosion), opencv(cv2.MORPH_ERODE)),
-        Step("opening", square(morphology.opening), opencv(cv2.MORPH_OPEN)),
-        Step("outline", square(morphology.gradient), opencv(cv2.MORPH_GRADIENT)),
-        Step("mosaic", mosaic),
+        Step(
+            "dilation",
+            "dilation(x, ones(5, 5)): the brightest of 5 x 5",
+            square(morphology.dilation),
+            opencv(cv2.MORPH_DILATE),
+        ),
+        Step(
+            "erosion",
+            "erosion(x, ones(5, 5)): the darkest of 5 x 5",
+            square(morphology.erosion),
+            opencv(cv2.MORPH_ERODE),
+        ),
+        Step(
+            "opening",
+            "opening(x, ones(5, 5)): bright spots are gone",
+            square(morphology.opening),
+            opencv(cv2.MORPH_OPEN),
+        ),
+        Step(
+            "outline",
+            "gradient(x, ones(5, 5)): dilation less erosion",
+            square(morphology.gradient),
+            opencv(cv2.MORPH_GRADIENT),
+        ),
+        Step("mosaic", "extract_tensor_patches(x, 16, 16), from dark to bright", mosaic),
     ],
 )

@@ -28,10 +28,13 @@ class StepInput(NamedTuple):
 class Step:
     """One column: `call` takes the batch of photos (B, 3, H, W) in [0, 1], and `show` converts its result to images.
 
+    `caption` is the call of kvision for photos x, and what it shows.
+
     `opencv` does the same work to one (H, W, 3) image.
     """
 
     title: str
+    caption: str
     call: Callable[[Tensor], Any]
     opencv: Callable[[Image], Any] | None = None
     show: Callable[[Any], Tensor] = lambda result: result
@@ -51,6 +54,7 @@ class Column:
     """The result of a step: images (B, 1 or 3, H, W), the backend that served it, and its milliseconds and OpenCV's."""
 
     title: str
+    caption: str
     pictures: Tensor
     input: tuple[str, Tensor] | None
     backend: str
@@ -69,6 +73,7 @@ def run(step: Step, photos: Tensor) -> Column:
         opencv_ms = quickest(lambda: [work(image) for image in images])
     return Column(
         title=step.title,
+        caption=step.caption,
         pictures=step.show(result).clamp(0, 1),
         input=None if step.input is None else (step.input.title, x),
         backend="native" if native_operators(lambda: step.call(x)) else "reference",

@@ -85,7 +85,7 @@ class Transform(nn.Module):
         needed = self._needed(flat)
         samples = count_samples(flat, needed) if self.draws else 0
         outputs = self._each(flat, needed, samples) if samples else self._flat(flat, needed)
-        return outputs[0] if is_leaf else tree_unflatten(outputs, spec)
+        return outputs[0] if spec is None else tree_unflatten(outputs, spec)
 
     def _needed(self, flat: list[Any]) -> list[bool]:
         """Which inputs are transformed."""

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._choices import Border
 from kvision._dtype import compute_dtype
 from kvision.augmentation import maps, ranges
 from kvision.augmentation.corruption.noises import in_type_of
@@ -54,7 +55,7 @@ def reach_of(sigma: float) -> int:
     return int(4 * sigma + 0.5)
 
 
-def glass(x: Tensor, u: Tensor, sigma: float, max_delta: int, border: str = "reflect") -> Tensor:
+def glass(x: Tensor, u: Tensor, sigma: float, max_delta: int, border: Border = "reflect") -> Tensor:
     """Between two blurs, pixels read neighbors by uniform numbers (B, 2 n, H, W), n times."""
     height, width = x.shape[-2:]
     # From -max_delta to max_delta - 1, as in the benchmark of Hendrycks and Dietterich.

@@ -109,7 +109,7 @@ def refine_corners(
         with torch.no_grad():
             along = [torch.zeros_like(at) + axis for axis in torch.eye(2, dtype=at.dtype, device=at.device)]
             slopes = [torch.func.jvp(lambda x: _step(values.detach(), x, radius), (at,), (d,))[1] for d in along]
-            change = -torch.stack(slopes, -1)  # type: ignore[arg-type]  # no has_aux
+            change = -torch.stack(slopes, -1)
             valid_change = valid & (torch.linalg.det(change).abs() > 1e-6)
         change = torch.where(valid_change[..., None, None], change, torch.eye(2, dtype=at.dtype, device=at.device))
         step = torch.linalg.solve_ex(change, _step(values, at, radius)[..., None]).result[..., 0]

@@ -70,12 +70,15 @@ class OneOf(ChoiceBase):
     def _draws(self) -> list[Draw]:
         return [uniform(0.0, 1.0)]
 
-    def _sequence(self, drawn: Sequence[float]) -> Sequence[int]:
+    def _sequences_of(self, drawn: Sequence[Sequence[float]]) -> list[tuple[int, ...]]:
         sums = self._sums_of_weights()
-        if sums[-1] == 0:
-            return ()
-        last = sums.index(sums[-1])  # that has a weight, for a number that is rounded to 1
-        return (min(sum(end <= drawn[0] * sums[-1] for end in sums), last),)
+        total, sequences = sums[-1], list[tuple[int, ...]]()
+        for _, u in drawn:
+            target, number = u * total, 0
+            while sums[number] <= target and sums[number] < total:  # a number may be rounded to 1
+                number += 1
+            sequences.append((number,) if total > 0 else ())
+        return sequences
 
     def _joined(self, turns: list[Turn], shape: tuple[int, ...], position: int) -> list[Turn]:
         groups, joined = self._groups(shape), []
@@ -187,9 +190,9 @@ class SomeOf(ChoiceBase):
             return [count, *[Draw("integer", (0, 1, len(self), 0))] * high]
         return [count, Draw("permutation", (len(self), 0, 1))]
 
-    def _sequence(self, drawn: Sequence[float]) -> Sequence[int]:
-        numbers = [int(number) for number in drawn[1 : 1 + int(drawn[0])]]
-        return sorted(numbers) if self.order else numbers
+    def _sequences_of(self, drawn: Sequence[Sequence[float]]) -> list[tuple[int, ...]]:
+        numbers = [tuple(map(int, own[2 : 2 + int(own[1])])) for own in drawn]
+        return [tuple(sorted(own)) for own in numbers] if self.order else numbers
 
 
 class RandomOrder(ChoiceBase):
@@ -236,8 +239,8 @@ class RandomOrder(ChoiceBase):
     def _draws(self) -> list[Draw]:
         return [Draw("permutation", (len(self), 0, 1))]
 
-    def _sequence(self, drawn: Sequence[float]) -> Sequence[int]:
-        return [int(number) for number in drawn]
+    def _sequences_of(self, drawn: Sequence[Sequence[float]]) -> list[tuple[int, ...]]:
+        return [tuple(map(int, own[1:])) for own in drawn]
 
 
 class RandomApply(ChoiceBase):
@@ -282,8 +285,8 @@ class RandomApply(ChoiceBase):
         super().__init__(*positional("RandomApply", children, ("p",), own), **own, **options, generator=generator)
         self._keep_arguments(**own, **options, generator=generator)
 
-    def _sequence(self, drawn: Sequence[float]) -> Sequence[int]:
-        return (0,)
+    def _sequences_of(self, drawn: Sequence[Sequence[float]]) -> list[tuple[int, ...]]:
+        return [(0,)] * len(drawn)
 
     def _units(self, children: Sequence[Child]) -> list[Sequence[Child]]:
         return [children] if children else []

@@ -76,8 +76,8 @@ class ChoiceBase(ImageSequential):
         """What is drawn for a sample that gets children."""
         return []
 
-    def _sequence(self, drawn: Sequence[float]) -> Sequence[int]:
-        """The numbers of the units that a sample gets, one after the other, for what was drawn."""
+    def _sequences_of(self, drawn: Sequence[Sequence[float]]) -> list[tuple[int, ...]]:
+        """The numbers of the units that samples get, one after the other, for what was drawn for each behind its first number."""
         raise NotImplementedError
 
     # --- a call ---
@@ -104,7 +104,7 @@ class ChoiceBase(ImageSequential):
         """The turns of a call on images of a shape, with those in one that are one pass."""
         return turns
 
-    def _sequences(self, samples: int, context: CallContext) -> list[Sequence[int]]:
+    def _sequences(self, samples: int, context: CallContext) -> list[tuple[int, ...]]:
         """The numbers of the units of each sample."""
         op = type(self).__name__
         refuse_graphs(op)
@@ -116,7 +116,8 @@ class ChoiceBase(ImageSequential):
         plan = self._draw_plan(keys.has_seed, context.position + _CHOICE)
         rows = plan.draw(torch.empty(samples, device="cpu"), keys).tolist()
         p = 1.0 if context.is_certain else self.p
-        return [self._sequence(drawn) if p == 1 or chance < p else () for chance, *drawn in rows]
+        sequences = self._sequences_of(rows)
+        return sequences if p == 1 else [own if row[0] < p else () for own, row in zip(sequences, rows)]
 
     def _draw_plan(self, has_seed: bool, position: int) -> DrawPlan:
         key = ("choice", has_seed, position)

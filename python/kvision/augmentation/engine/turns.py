@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from itertools import accumulate
+from itertools import accumulate, chain
 from typing import Any, NamedTuple
 
 import torch
@@ -58,7 +58,7 @@ def plan_turns(sequences: Sequence[Sequence[int]]) -> list[Wanted]:
                 later[other] = later.get(other, 0) + len(samples)
         turn = min(now, key=lambda wanted: (later.get(wanted, 0), -now[wanted], wanted))
         own = [samples for wanted, samples in pending if wanted[0] == turn]
-        turns.append(Wanted(*turn, sorted(sample for samples in own for sample in samples)))
+        turns.append(Wanted(*turn, own[0] if len(own) == 1 else sorted(chain(*own))))
         pending = [(wanted[1:] if wanted[0] == turn else wanted, samples) for wanted, samples in pending]
     return turns
 
@@ -74,17 +74,27 @@ class SampleRows:
     """
 
     def __init__(self, x: Tensor) -> None:
-        self._at = [(x, row) for row in range(len(x))]
+        self._whole: Tensor | None = x  # while all samples are the rows of one tensor
+        self._count = len(x)
+        self._at: list[tuple[Tensor, int]] = []
 
     def by_size(self, samples: Sequence[int]) -> list[list[int]]:
         """The samples in groups of one size."""
+        if self._whole is not None:
+            return [list(samples)] if samples else []
         groups: dict[torch.Size, list[int]] = {}
         for sample in samples:
             groups.setdefault(self._at[sample][0].shape[1:], []).append(sample)
         return list(groups.values())
 
+    def size_of(self, sample: int) -> tuple[int, ...]:
+        """Height and width of a sample; depth, height and width of volumes."""
+        return tuple((self._at[sample][0] if self._whole is None else self._whole).shape[2:])
+
     def take(self, samples: Sequence[int]) -> Tensor:
         """The samples, which have one size, as a batch."""
+        if self._whole is not None:
+            return read_rows(self._whole, samples)
         parts: dict[int, tuple[Tensor, list[int], list[int]]] = {}
         for at, sample in enumerate(samples):
             tensor, row = self._at[sample]
@@ -99,7 +109,13 @@ class SampleRows:
         return _interleaved(tensors, [positions for _, _, positions in parts.values()])
 
     def put(self, samples: Sequence[int], y: Tensor) -> None:
-        """Let the samples be the rows of `y`."""
+        """Let the samples, in ascending order, be the rows of `y`."""
+        if len(samples) == self._count:
+            self._whole, self._at = y, []
+            return
+        if self._whole is not None:
+            whole, self._whole = self._whole, None
+            self._at = [(whole, row) for row in range(self._count)]
         for row, sample in enumerate(samples):
             self._at[sample] = y, row
 
@@ -188,7 +204,7 @@ def execute_turns(x: Tensor, turns: Sequence[Turn], context: CallContext) -> tup
             size = tuple(x.shape[2:]) if source.shape[2:] == x.shape[2:] else None
             stages += stage.stages if len(samples) == batch else [SomeSamples(stage, samples, batch, size)]
             executed += children
-    sizes = [tuple(rows._at[group[0]][0].shape[2:]) for group in rows.by_size(range(batch))]
+    sizes = [rows.size_of(group[0]) for group in rows.by_size(range(batch))]
     if len(sizes) > 1:
         raise ShapeError(
             f"{context.op}: expected children that give all samples one size, got {sizes[0]} and {sizes[1]}"
@@ -205,11 +221,14 @@ def _execute_parts(
 ) -> tuple[Tensor, Chain, list[Child]]:
     """Run children of which each sample gets one as one run, in which the others change nothing."""
     assert turn.parts is not None
-    row_of = {sample: row for row, sample in enumerate(turn.samples)}
-    owner = torch.empty(len(turn.samples), dtype=torch.int64, device="cpu")
+    is_whole = len(x) == children[0].batch
+    row_of = range(len(x)) if is_whole else {sample: row for row, sample in enumerate(turn.samples)}
+    owners = [0] * len(x)
     for number, (child, samples) in enumerate(zip(children, turn.parts)):
-        child.samples, child.rows = samples, [row_of[sample] for sample in samples]
-        owner[child.rows] = number
+        child.samples, child.rows = samples, samples if is_whole else [row_of[sample] for sample in samples]
+        for row in child.rows:
+            owners[row] = number
+    owner = torch.tensor(owners, device="cpu")
     y, stage = execute(x, children, context._replace(once=True, owners=owner), turn.position)
     return y, stage, [child for child in children if child.samples]
 

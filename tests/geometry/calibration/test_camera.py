@@ -104,6 +104,7 @@ def test_missing_points_and_views(device: torch.device) -> None:
     assert fit.camera_matrix[2].isnan().any() and fit.rms.isnan().tolist() == [False, False, True]
     assert fit.pose.t.isnan().any(-1).tolist() == [[True] + 5 * [False], 6 * [False], 6 * [True]]
     torch.testing.assert_close(fit.camera_matrix[:1], alone.camera_matrix, rtol=1e-6, atol=0)
+    torch.testing.assert_close(fit.covariance[:1], alone.covariance, rtol=1e-4, atol=1e-12)
     assert fit.view_rms[1].isfinite().all() and fit.view_rms[0, 0].isnan()
     single = K.geometry.calibrate_camera(X[:2].float(), x[:2].float(), SIZE, weights[:2].float(), num_coefficients=4)
     torch.testing.assert_close(single.camera_matrix.double(), fit.camera_matrix[:2], rtol=2e-3, atol=0)

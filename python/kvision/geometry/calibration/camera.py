@@ -22,7 +22,7 @@ from kvision.geometry.calibration._lenses import (
 from kvision.geometry.homography.dlt import find_homography_dlt
 from kvision.geometry.liegroup import Se3, So3
 from kvision.geometry.liegroup.so3 import skew
-from kvision.geometry.optim import least_squares
+from kvision.geometry.optim import LeastSquaresResult, least_squares
 from kvision.geometry.optim._losses import RobustLoss
 
 __all__ = ["CameraCalibration", "calibrate_camera"]
@@ -64,17 +64,31 @@ class CameraCalibration:
 
 
 class _BoardError:
-    """Where cameras see the points of targets, less where they were observed, with the Jacobian in closed form."""
+    """Where cameras see the points of targets, less where they were observed, with the Jacobian in closed form.
 
-    def __init__(self, model: str, points: Tensor, pixels: Tensor) -> None:
-        self.model, self.points, self.pixels = model, points, pixels
+    Points and pixels are (B, V, N, *). A block of residuals is a point, or with weights (B, V, N) all weighted points of a view:
+    then products are fewer and larger.
+    """
+
+    def __init__(self, model: str, points: Tensor, pixels: Tensor, weights: Tensor | None) -> None:
+        self.model, self.points, self.pixels = model, points, pixels.flatten(1, 2)
+        self.root = None if weights is None else torch.where(weights > 0, weights, 0).sqrt()[..., None]
 
     def _projected(self, variables: dict[str, Any]) -> tuple[Tensor, Tensor]:
-        p = variables["pose"] * self.points
+        pose = variables["pose"]
+        p = pose * self.points.flatten(1, 2) if self.root is None else (pose[:, :, None] * self.points).flatten(1, 2)
         return p, p[..., :2] / p[..., 2:]
 
     def _error(self, image: Tensor, camera: Tensor) -> Tensor:
-        return camera[:, None, :2] * image + camera[:, None, 2:] - self.pixels
+        return self._blocks(camera[:, None, :2] * image + camera[:, None, 2:] - self.pixels)
+
+    def _blocks(self, x: Tensor) -> Tensor:
+        """Blocks of residuals or of their Jacobian (B, V N, 2, *)."""
+        if self.root is None:
+            return x
+        root = self.root if x.dim() == 3 else self.root[..., None]
+        # Points that do not count may be NaN, and so may be their projections.
+        return torch.where(root > 0, root * x.unflatten(1, self.root.shape[1:3]), 0).flatten(2, 3)
 
     def __call__(self, variables: dict[str, Any]) -> Tensor:
         _, x = self._projected(variables)
@@ -88,11 +102,12 @@ class _BoardError:
         to_x = focal * to_x / p[..., 2:, None]
         to_point = torch.cat([to_x, -(to_x @ x[..., None])], -1)
         one = torch.eye(2, dtype=x.dtype, device=x.device).expand(*x.shape, 2)
-        return self._error(image, camera), {
+        jacobian = {
             "camera": torch.cat([torch.diag_embed(image), one], -1),
             "dist": focal * to_dist,
             "pose": torch.cat([to_point, to_point @ -skew(p)], -1),  # exp(d) p is p + t + w x p
         }
+        return self._error(image, camera), {name: self._blocks(J) for name, J in jacobian.items()}
 
 
 def calibrate_camera(
@@ -166,14 +181,14 @@ def calibrate_camera(
         rotation = torch.where(is_seen[..., None, None], rotation, torch.eye(3, dtype=dtype, device=X.device))
         pose = Se3(So3.from_matrix(rotation), torch.where(is_seen[..., None], translation, 0)).requires_grad_(False)
     w = torch.where(is_seen[..., None], w, 0)
-    view = torch.arange(views, device=X.device).repeat_interleave(count)
+    view, by_view = torch.arange(views, device=X.device), loss == "linear"
     fit = least_squares(
-        _BoardError(model, X.flatten(1, 2), pixels.flatten(1, 2)),
+        _BoardError(model, X, pixels, w if by_view else None),
         {"camera": camera, "dist": X.new_zeros(batch, n), "pose": pose},
-        w.flatten(1),
+        None if by_view else w.flatten(1),
         loss,
         f_scale,
-        index={"pose": view},
+        index={"pose": view if by_view else view.repeat_interleave(count)},
         eliminate="pose",
         max_iterations=max_iterations,
         ftol=1e-9,
@@ -183,8 +198,7 @@ def calibrate_camera(
     unknowns = 4 + n + 6 * is_seen.sum(1)
     is_fitted = fit.cost.isfinite() & (2 * (w > 0).sum((1, 2)) >= unknowns) & is_seen.any(1)
     found = fit.variables
-    error = _BoardError(model, X.flatten(1, 2), pixels.flatten(1, 2))({**found, "pose": found["pose"][:, view]})
-    square = torch.where(w > 0, w * error.square().sum(-1).unflatten(1, (views, count)), 0)
+    square = _BoardError(model, X, pixels, w)(found).square().sum(-1)  # (B, V)
     poses = poses_where(is_fitted[:, None] & is_seen, found["pose"])
 
     def known(x: Tensor) -> Tensor:
@@ -196,11 +210,18 @@ def calibrate_camera(
         known(K),
         known(found["dist"]),
         poses,
-        known((square.sum((1, 2)) / w.sum((1, 2))).sqrt()),
-        known((square.sum(2) / w.sum(2)).sqrt()),
-        known(fit.covariance()),
+        known((square.sum(1) / w.sum((1, 2))).sqrt()),
+        known((square / w.sum(2)).sqrt()),
+        known(covariance_of(fit, w, unknowns)),
         is_fitted & fit.converged,
     )
+
+
+def covariance_of(fit: LeastSquaresResult, weights: Tensor, unknowns: Tensor) -> Tensor:
+    """The covariance of a fit to the points of weight above 0, two residuals each, whose variance the cost tells."""
+    freedom = 2 * (weights > 0).flatten(1).sum(1) - unknowns
+    variance = torch.where(freedom > 0, 2 * fit.cost.detach() / freedom, torch.nan)
+    return fit.covariance(sigma=1.0) * variance[:, None, None]
 
 
 def poses_where(condition: Tensor, pose: Se3) -> Se3:

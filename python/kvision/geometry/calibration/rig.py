@@ -15,6 +15,7 @@ from kvision.geometry._intrinsics import camera_matrix_of
 from kvision.geometry.calibration._lenses import LensModel, distorted, distorted_with_jacobians, undistorted
 from kvision.geometry.calibration.camera import (
     calibrate_camera,
+    covariance_of,
     homographies_of_views,
     poses_of_homographies,
     poses_where,
@@ -222,7 +223,8 @@ def calibrate_rig(
     found = {**fit.variables, **given}
     seen = {name: x[:, index[name]] for name, x in fit.variables.items()}
     square = error(seen).square().unflatten(1, (cameras, views)).sum(-1)  # (B, C, V)
-    is_fitted = fit.cost.isfinite() & is_linked & is_seen.any(1)
+    unknowns = sum(s.stop - s.start for s in fit.columns.values()) + 6 * is_seen.sum(1)
+    is_fitted = fit.cost.isfinite() & (2 * (w > 0).sum((1, 2, 3)) >= unknowns) & is_linked & is_seen.any(1)
     q, t = found["rig"].quaternion.data, found["rig"].t
     q = torch.cat([q.new_tensor([1.0, 0, 0, 0]).expand(batch, 1, 4), q], 1)
     rig = Se3(So3.from_wxyz(q), torch.cat([t.new_zeros(batch, 1, 3), t], 1))
@@ -237,7 +239,7 @@ def calibrate_rig(
         poses_where(is_fitted[:, None] & is_seen, found["pose"]),
         known((square.sum((1, 2)) / w.sum((1, 2, 3))).sqrt()),
         known((square / w.sum(3)).sqrt()),
-        known(fit.covariance()),
+        known(covariance_of(fit, w, unknowns)),
         is_fitted & fit.converged,
     )
 

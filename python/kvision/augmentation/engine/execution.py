@@ -47,6 +47,11 @@ def matrix_type(images: Tensor) -> tuple[torch.device, torch.dtype]:
 class Execution:
     """One call of an augmentation: what was drawn, for `_params`, `transform_matrix`, labels, inverse and replay."""
 
+    matrix: Tensor | None = None
+    identity: tuple[torch.device, torch.dtype] | None = None  # `matrix_type` of matrices that are made when read
+    keeps_map = False  # for labels of the same call
+    map: Tensor | None = None  # of a deformation, kept by `keeps_map`
+
     def __init__(
         self,
         shape: Shape,
@@ -66,12 +71,6 @@ class Execution:
         self.redraw = redraw  # the keys, and the index of this augmentation's
         self.frames = frames  # neighboring samples that share what was drawn
         self.is_certain = is_certain  # all samples are chosen, which is known without the columns
-        self.matrix: Tensor | None = None
-        self.identity: tuple[torch.device, torch.dtype] | None = (
-            None  # `matrix_type`, where matrices are made when they are read
-        )
-        self.keeps_map = False  # for labels of the same call
-        self.map: Tensor | None = None  # of a deformation, kept by `keeps_map`
 
     def keep_matrix(self, matrix: Tensor) -> None:
         """Keep the matrices of an operator, which carry no gradients; where parameters do, they are computed when asked for."""

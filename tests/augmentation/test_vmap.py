@@ -93,3 +93,23 @@ def test_levels_labels_and_gradients(device: torch.device) -> None:
     moved = vmap(lambda *labeled: both(*labeled)[1], randomness="different")(x[0], points)
     torch.manual_seed(3)
     assert_close(moved, torch.stack([both(*labeled)[1] for labeled in zip(x[0], points)]), 0.0, 1e-4)
+
+
+@pytest.mark.tracing
+@pytest.mark.parametrize("transform", ["vmap", "grad"])
+def test_compiled_transforms_call_eagerly_or_say_why(transform: str) -> None:
+    """What a module keeps of its call would leave the transform with the graph."""
+    augment, x = A.RandomAffine(10.0, p=1.0), torch.rand(3, 2, 1, 8, 8)
+
+    def f(x: Tensor) -> Tensor:
+        if transform == "vmap":
+            return vmap(lambda y: augment(y, seed=1))(x)
+        return torch.func.grad(lambda y: augment(y, seed=1).square().sum())(x[0])
+
+    torch._dynamo.reset()
+    assert_close(torch.compile(f, backend="aot_eager")(x), f(x), 0, 0)
+    torch._dynamo.reset()
+    with pytest.raises(
+        torch._dynamo.exc.Unsupported, match="an augmentation inside of torch.func's transforms has no graph"
+    ):
+        torch.compile(f, backend="aot_eager", fullgraph=True)(x)

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from kvision._torch_compat import in_function_transform
 from kvision.augmentation.draws import MAX_DRAWS, MAX_NUMBERS, Draw, Request, draw_parameters, make_plan
-from kvision.augmentation.keys import Keys
+from kvision.augmentation.keys import Keys, refuse_transformed_graphs
 from kvision.augmentation.ranges import LearnedPair, LearnedUniform
 from kvision.core.exceptions import ValueCheckError
 
@@ -116,6 +116,7 @@ class DrawPlan(NamedTuple):
         own = self.keys_of(keys)
         seeds = keys.seeds_on(images.device)
         if in_function_transform():  # the elements of a vmap share what is drawn, unless their keys differ
+            refuse_transformed_graphs()
             images = torch.empty(images.shape[0], device=images.device)
         elif images.requires_grad:
             images = images.detach()

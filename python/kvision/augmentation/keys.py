@@ -60,6 +60,15 @@ def refuse_graphs(op: str) -> None:
         )
 
 
+def refuse_transformed_graphs() -> None:
+    """Raise while torch.compile traces inside of torch.func: what a module keeps of its call would leave the transform."""
+    if is_compiling():
+        raise RuntimeError(
+            "kvision.augmentation: an augmentation inside of torch.func's transforms has no graph; call it outside of them, or use "
+            "torch.compile without fullgraph=True"
+        )
+
+
 def refuse_capture(op: str) -> None:
     """Raise while a CUDA graph is captured, whose replays would repeat a choice of the host."""
     if torch.cuda.is_initialized() and torch.cuda.is_current_stream_capturing():

@@ -108,6 +108,14 @@ def test_one_laplacian_pyramid_serves_images_that_are_padded_and_others(device):
             assert_close(result, expected)
 
 
+@pytest.mark.tracing
+def test_compiled_laplacian_pyramid_of_one_size(device):
+    x = torch.rand(1, 1, 8, 10, device=device)  # padded
+    torch._dynamo.reset()
+    compiled = torch.compile(lambda x: G.build_laplacian_pyramid(x, 2), backend="eager", fullgraph=True)
+    assert_close(compiled(x), G.build_laplacian_pyramid(x, 2))
+
+
 IMAGE = torch.rand(1, 2, 5, 6, generator=torch.Generator().manual_seed(1)).double()
 FUNCTIONS = {
     "pyrdown": (G.pyrdown, (IMAGE,)),

@@ -17,6 +17,7 @@ from kvision._dtype import as_dtype, compute_dtype, pixels
 from kvision._modes import BORDER, INTERPOLATION
 from kvision._modules import FunctionModule
 from kvision._ops import register
+from kvision._torch_compat import has_static_value
 from kvision.core.exceptions import ShapeError
 from kvision.filters import filter2d_separable, gaussian_blur2d
 from kvision.filters.smoothing.gaussian import gaussian_levels
@@ -205,7 +206,7 @@ def build_laplacian_pyramid(
     powers = [_next_power_of_2(side) for side in (h, w)]
     halved = 2 ** (count - 1)
     is_padded = (h % halved != 0) | (w % halved != 0) | ((powers[0] != h) & (powers[1] != w))
-    if _check.is_symbolic(h, w):  # a branch would make a program for images of one kind
+    if not (has_static_value(h) and has_static_value(w)):  # a branch would make a program for images of one kind
         powers = [torch.sym_ite(is_padded, power, side) for power, side in zip(powers, (h, w))]
         is_padded = True
     if is_padded:

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from kvision.geometry.calibration.camera import poses_of_homographies, poses_where
+from kvision.geometry.calibration.p3p import poses_of_triangles
 from kvision.geometry.calibration.pnp import _before_camera, check_correspondences, solve_pnp_dlt
 from kvision.geometry.homography.dlt import find_homography_dlt
 from kvision.geometry.liegroup import Se3, So3
@@ -14,6 +15,8 @@ from kvision.geometry.optim._losses import RobustLoss
 from kvision.geometry.solvers.null_vector import null_vector
 
 __all__ = ["solve_pnp"]
+
+_TRIANGLES = 4  # whose poses are starts
 
 
 def solve_pnp(
@@ -27,12 +30,12 @@ def solve_pnp(
 ) -> tuple[Se3, Tensor]:
     """Estimate camera poses with the least reprojection error from points in space and their projections.
 
-    Starts are the direct linear transformation of six or more points, and the homography of the plane that fits the points best,
-    of four or more; :func:`optim.least_squares` refines both, and the better one counts. Gradients reach points, pixels, intrinsics
-    and weights by the implicit function theorem.
+    Starts are the direct linear transformation of six or more points, the best pose of three of them, and both poses of the plane
+    that fits the points best; :func:`optim.least_squares` refines all at once, and the best one counts. Gradients reach points,
+    pixels, intrinsics and weights by the implicit function theorem.
 
     Args:
-        world_points: (B, N, 3), float32 or float64, at least four; fewer than six must be coplanar.
+        world_points: (B, N, 3), float32 or float64, at least four.
         img_points: (B, N, 2) as (x, y) in pixels, without distortion.
         intrinsics: camera matrices, (B, 3, 3), upper triangular.
         weights: of the squared errors, at least 0, (B, N). Points of weight 0 do not count.
@@ -64,19 +67,27 @@ def solve_pnp(
     with torch.no_grad():
         used = torch.ones_like(img_points[..., 0]) if weights is None else (weights > 0).to(img_points.dtype)
         X, x = (torch.where(used[..., None] > 0, p, 0) for p in (world_points, img_points))
-        starts = [_planar_start(X, _before_camera(x, intrinsics), used)]
+        rays = _before_camera(x, intrinsics)
+        starts = [*_planar_starts(X, rays, used), _start_of_triangles(X, rays, used)]
         if count >= 6:
             starts.append(solve_pnp_dlt(X, x, intrinsics, used))
-        fits = [
-            least_squares(error, {"pose": _as_se3(P)}, max_iterations=max_iterations, gradient="none", **options)  # type: ignore[arg-type]
-            for P in starts
-        ]
-        depths = [((f.variables["pose"][:, None] * X)[..., 2] > 0) | (used == 0) for f in fits]
-        costs = torch.stack([torch.where(d.all(-1) & ~f.cost.isnan(), f.cost, torch.inf) for d, f in zip(depths, fits)])
+        every = len(starts)  # of all problems at once
+        repeated = {**options, "weights": used.repeat(every, 1) if weights is None else weights.repeat(every, 1)}
+        fit = least_squares(
+            ReprojectionError(
+                img_points.repeat(every, 1, 1), intrinsics.repeat(every, 1, 1), world_points.repeat(every, 1, 1)
+            ),
+            {"pose": _as_se3(torch.cat(starts))},
+            max_iterations=max_iterations,
+            gradient="none",
+            **repeated,  # type: ignore[arg-type]
+        )
+        poses = fit.variables["pose"]
+        is_before = ((poses[:, None] * X.repeat(every, 1, 1))[..., 2] > 0) | (used == 0).repeat(every, 1)
+        costs = torch.where(is_before.all(-1) & ~fit.cost.isnan(), fit.cost, torch.inf).unflatten(0, (every, batch))
         best = costs.argmin(0)
         is_valid = (costs.amin(0) < torch.inf) & (used.sum(-1) >= 4)
-        matrices = torch.stack([f.variables["pose"].matrix() for f in fits])
-        start = matrices[best, torch.arange(batch, device=best.device)]
+        start = poses.matrix().unflatten(0, (every, batch))[best, torch.arange(batch, device=best.device)]
     pose = least_squares(error, {"pose": _as_se3(start)}, max_iterations=1, **options).variables["pose"]  # type: ignore[arg-type]
     return poses_where(is_valid, pose), is_valid
 
@@ -85,8 +96,9 @@ def _as_se3(P: Tensor) -> Se3:
     return Se3(So3.from_matrix(P[:, :3, :3]), P[:, :3, 3]).requires_grad_(False)
 
 
-def _planar_start(X: Tensor, x: Tensor, used: Tensor) -> Tensor:
-    """[R | t] (B, 3, 4) of the plane that fits points best, from the homography to the plane z = 1 of the camera."""
+def _planar_starts(X: Tensor, x: Tensor, used: Tensor) -> tuple[Tensor, Tensor]:
+    """[R | t] (B, 3, 4) of the plane that fits points best, from the homography to the plane z = 1 of the camera, and the other
+    pose that sees a small plane alike: mirrored in depth, and in itself."""
     center = (used[..., None] * X).sum(1, keepdim=True) / used.sum(1)[:, None, None]
     offset = (X - center) * used[..., None]
     normal = null_vector(offset.mT @ offset)
@@ -96,4 +108,31 @@ def _planar_start(X: Tensor, x: Tensor, used: Tensor) -> Tensor:
     H = find_homography_dlt((offset @ basis.mT)[..., :2], x, used)
     rotation, t = poses_of_homographies(H)
     R = rotation @ basis
-    return torch.cat([R, t[..., None] - R @ center.mT], -1)
+    sight = torch.nn.functional.normalize(t, dim=-1)
+    mirrored = _mirror(sight) @ R @ _mirror(normal)
+    return torch.cat([R, t[..., None] - R @ center.mT], -1), torch.cat(
+        [mirrored, t[..., None] - mirrored @ center.mT], -1
+    )
+
+
+def _mirror(normal: Tensor) -> Tensor:
+    """Reflections (B, 3, 3) in planes of unit normals (B, 3)."""
+    eye = torch.eye(3, dtype=normal.dtype, device=normal.device)
+    return eye - 2 * normal[..., :, None] * normal[..., None, :]
+
+
+def _start_of_triangles(X: Tensor, x: Tensor, used: Tensor) -> Tensor:
+    """Of the poses (B, 3, 4) that see three points, for a few triangles, the one that sees all points best."""
+    order = used.argsort(dim=1, descending=True, stable=True)  # used points first
+    count = used.sum(1).long().clamp(min=3)[:, None, None]
+    corner = torch.arange(3, device=X.device) * (count // 3) + torch.arange(_TRIANGLES, device=X.device)[:, None]
+    chosen = order.gather(1, (corner % count).flatten(1))
+    rays = torch.nn.functional.pad(x, (0, 1), value=1.0)
+    triangles, seen = (
+        p.gather(1, chosen[..., None].expand(-1, -1, 3)).unflatten(1, (-1, 3)).flatten(0, 1).double() for p in (X, rays)
+    )
+    poses = poses_of_triangles(triangles, seen).unflatten(0, (len(X), -1)).flatten(1, 2).to(X.dtype)  # (B, 4 n, 3, 4)
+    p = X[:, None] @ poses[..., :3].mT + poses[..., None, :, 3]
+    error = ((p[..., :2] - p[..., 2:] * x[:, None]).square().sum(-1) / p[..., 2].square() * used[:, None]).sum(-1)
+    error = torch.where((p[..., 2] > 0).all(-1) & error.isfinite(), error, torch.inf)
+    return poses[torch.arange(len(X), device=X.device), error.argmin(1)]

@@ -47,7 +47,7 @@ from kvision.augmentation.corruption import (
     SpeckleNoise,
     ZoomBlur,
 )
-from kvision.augmentation.crop import CenterCrop, FiveCrop, MultiCrop, RandomCrop, RandomResizedCrop, TenCrop
+from kvision.augmentation.crops import CenterCrop, FiveCrop, MultiCrop, RandomCrop, RandomResizedCrop, TenCrop
 from kvision.augmentation.distortion import (
     ChromaticAberration,
     GridDistortion,

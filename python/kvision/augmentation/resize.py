@@ -10,7 +10,7 @@ from torch import Tensor
 from kvision import _check, geometry
 from kvision._choices import ResizeSide
 from kvision.augmentation import ranges
-from kvision.augmentation.crop import PadMode, four_sides, padding_resampling
+from kvision.augmentation.crops.crop import PadMode, four_sides, padding_resampling
 from kvision.augmentation.draws import Draw
 from kvision.augmentation.engine import Shape
 from kvision.augmentation.geometric_base import GeometricAugmentationBase2D

@@ -11,7 +11,7 @@ from torch import Tensor
 from kvision._constants import constant
 from kvision._dtype import compute_dtype
 from kvision.augmentation import ranges
-from kvision.augmentation.crop import PadMode, padding_resampling
+from kvision.augmentation.crops.crop import PadMode, padding_resampling
 from kvision.augmentation.engine import Params, Shape
 from kvision.augmentation.geometric3d_base import GeometricAugmentationBase3D, parse_resample
 from kvision.augmentation.random_generator.base import RandomGeneratorBase

@@ -6,11 +6,10 @@ from collections.abc import Sequence
 from typing import Any, Literal, TypeAlias, get_args
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
-from kvision import _check, geometry
+from kvision import _check
 from kvision._choices import CroppingMode
-from kvision._constants import constant
 from kvision.augmentation import ranges
 from kvision.augmentation.engine import Shape
 from kvision.augmentation.geometric_base import GeometricAugmentationBase2D
@@ -29,7 +28,7 @@ from kvision.augmentation.warp_and_color import Resampling
 from kvision.constants import AnyResample, Resample
 from kvision.core.exceptions import ValueCheckError
 
-__all__ = ["CenterCrop", "FiveCrop", "MultiCrop", "RandomCrop", "RandomResizedCrop", "TenCrop"]
+__all__ = ["CenterCrop", "RandomCrop", "RandomResizedCrop"]
 
 PadMode: TypeAlias = Literal["constant", "replicate", "edge", "reflect", "symmetric"]
 # The modes of torch.nn.functional.pad, as warps call them, and whether they mirror at the centers of the outermost pixels.
@@ -301,145 +300,3 @@ def four_sides(op: str, padding: Any) -> tuple[int, int, int, int]:
         return sides[0], sides[0], sides[1], sides[1]
     left, top, right, bottom = sides
     return left, right, top, bottom
-
-
-class FiveCrop(nn.Module):
-    """Cut five windows of a size out of images: the four corners and the middle, as torchvision's `FiveCrop`.
-
-    Nothing is copied: the windows are views. Where an odd number of rows or columns is left over, half of it is rounded to the
-    even number, as torchvision does.
-
-    Args:
-        size: height and width of the windows; an int for both.
-
-    Raises:
-        TypeError: `size` is not one or two ints.
-        ValueError: a size below 1; in a call, images smaller than the window.
-
-    Example:
-        >>> import torch, kvision as K
-        >>> [x.tolist() for x in K.augmentation.FiveCrop(1)(torch.arange(9).reshape(1, 3, 3))]
-        [[[[0]]], [[[2]]], [[[6]]], [[[8]]], [[[4]]]]
-    """
-
-    def __init__(self, size: int | tuple[int, int]) -> None:
-        super().__init__()
-        self.size = parse_size(type(self).__name__, size)
-
-    def extra_repr(self) -> str:
-        return f"size={self.size}"
-
-    def forward(self, input: Tensor) -> tuple[Tensor, ...]:
-        """The windows of images (*, H, W): upper left, upper right, lower left, lower right, middle."""
-        op, (h, w) = type(self).__name__, self.size
-        _check.trailing_shape(op, "input", input, "H", "W")
-        down, right = input.shape[-2] - h, input.shape[-1] - w
-        if down < 0 or right < 0:
-            raise ValueCheckError(f"{op}: expected images of at least {self.size}, got {tuple(input.shape[-2:])}")
-        corners = (0, 0), (0, right), (down, 0), (down, right), (round(down / 2), round(right / 2))
-        return tuple(input[..., y : y + h, x : x + w] for y, x in corners)
-
-
-class TenCrop(FiveCrop):
-    """Cut the windows of :class:`FiveCrop` out of images and out of their mirror images, as torchvision's `TenCrop`.
-
-    Args:
-        size: height and width of the windows; an int for both.
-        vertical_flip: mirror images upside down instead of from left to right.
-
-    Raises:
-        TypeError: `size` is not one or two ints.
-        ValueError: a size below 1; in a call, images smaller than the window.
-
-    Example:
-        >>> import torch, kvision as K
-        >>> [x.item() for x in K.augmentation.TenCrop(1)(torch.arange(9).reshape(1, 3, 3))]
-        [0, 2, 6, 8, 4, 2, 0, 8, 6, 4]
-    """
-
-    def __init__(self, size: int | tuple[int, int], vertical_flip: bool = False) -> None:
-        super().__init__(size)
-        self.vertical_flip = _check.switch("TenCrop", "vertical_flip", vertical_flip)
-
-    def extra_repr(self) -> str:
-        return f"{super().extra_repr()}, vertical_flip={self.vertical_flip}"
-
-    def forward(self, input: Tensor) -> tuple[Tensor, ...]:
-        """The windows of images (*, H, W), and those of the mirror images in the same order."""
-        windows = super().forward(input)
-        return (*windows, *super().forward(input.flip(-2 if self.vertical_flip else -1)))
-
-
-class MultiCrop(nn.Module):
-    """Cut several windows out of every image, large and small ones, and resize them: the views of self-supervised training.
-
-    The windows are drawn as those of :class:`RandomResizedCrop`, for every view of every sample, and all views of a size are one
-    resampling of the images, which are not copied for them. Edges of windows go to edges of views.
-
-    Args:
-        global_size: height and width of large views; an int for both.
-        local_size: height and width of small views.
-        global_crops: number of large views.
-        local_crops: number of small views; 0 for none.
-        global_scale: range of the area of large windows, as a fraction of the image's.
-        local_scale: range of the area of small windows.
-        ratio: range of width / height of windows.
-        antialias: average the pixels that a pixel of a view covers.
-
-    Raises:
-        TypeError: a size or a count is not an int.
-        ValueError: a size or `global_crops` below 1, `local_crops` below 0; a range does not have the form in Args.
-
-    Source: M. Caron et al., "Emerging properties in self-supervised vision transformers" (2021).
-
-    Example:
-        >>> import torch, kvision as K
-        >>> views = K.augmentation.MultiCrop(8, 4)(torch.rand(5, 3, 16, 20))
-        >>> len(views), views[0].shape, views[9].shape
-        (10, torch.Size([5, 3, 8, 8]), torch.Size([5, 3, 4, 4]))
-    """
-
-    def __init__(
-        self,
-        global_size: int | tuple[int, int] = 224,
-        local_size: int | tuple[int, int] = 96,
-        global_crops: int = 2,
-        local_crops: int = 8,
-        global_scale: Numbers = (0.4, 1.0),
-        local_scale: Numbers = (0.05, 0.4),
-        ratio: Numbers = (3.0 / 4.0, 4.0 / 3.0),
-        antialias: bool = True,
-    ) -> None:
-        super().__init__()
-        op = "MultiCrop"
-        _check.ints(op, "global_crops", global_crops, 1)
-        _check.ints(op, "local_crops", local_crops, 1, 0)
-        self.counts = global_crops, local_crops
-        self.global_generator = ResizedCropGenerator(parse_size(op, global_size), global_scale, ratio)
-        self.local_generator = ResizedCropGenerator(parse_size(op, local_size), local_scale, ratio)
-        self.antialias = _check.switch(op, "antialias", antialias)
-
-    def forward(self, input: Tensor) -> list[Tensor]:
-        """The views of images (B, C, H, W): first the large ones, then the small ones, each (B, C, h, w)."""
-        _check.images("MultiCrop", "input", input)
-        batch, views = input.shape[0], list[Tensor]()
-        for count, generator in zip(self.counts, (self.global_generator, self.local_generator)):
-            if not count:
-                continue
-            h, w = generator.output_size
-            corners = generator((count * batch, *input.shape[1:]))["src"]
-            first, last = corners[:, :1], corners[:, 2:3]
-            # From the centers of a window's corner pixels to those of the result's: both have their edges in common.
-            inset = ((last - first + 1) / constant((w, h), corners) - 1) / 2
-            inward = constant(((1, 1), (-1, 1), (-1, -1), (1, -1)), corners)
-            image = torch.arange(batch, device=input.device).repeat(count)
-            crops = geometry.crop_and_resize(
-                input,
-                corners + inset * inward,
-                (h, w),
-                padding_mode="border",
-                box_indices=image,
-                antialias=self.antialias,
-            )
-            views += crops.unflatten(0, (count, batch)).unbind(0)
-        return views

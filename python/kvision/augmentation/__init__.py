@@ -47,7 +47,20 @@ from kvision.augmentation.corruption import (
     SpeckleNoise,
     ZoomBlur,
 )
-from kvision.augmentation.crops import CenterCrop, FiveCrop, MultiCrop, RandomCrop, RandomResizedCrop, TenCrop
+from kvision.augmentation.crops import (
+    AtLeastOneBBoxRandomCrop,
+    CenterCrop,
+    CropNonEmptyMaskIfExists,
+    FiveCrop,
+    MultiCrop,
+    RandomCrop,
+    RandomCropNearBBox,
+    RandomIoUCrop,
+    RandomResizedCrop,
+    RandomSizedBBoxSafeCrop,
+    RandomZoomOut,
+    TenCrop,
+)
 from kvision.augmentation.distortion import (
     ChromaticAberration,
     GridDistortion,
@@ -123,6 +136,7 @@ from kvision.augmentation.weather import RandomRain, RandomSnow
 
 __all__ = [
     "D4",
+    "AtLeastOneBBoxRandomCrop",
     "AugmentationBase2D",
     "AugmentationBase3D",
     "AugmentationSequential",
@@ -134,6 +148,7 @@ __all__ = [
     "ColorJitter",
     "ColorStep",
     "CommonCorruption",
+    "CropNonEmptyMaskIfExists",
     "Defocus",
     "Denormalize",
     "Downscale",
@@ -177,6 +192,7 @@ __all__ = [
     "RandomContrast",
     "RandomCrop",
     "RandomCrop3D",
+    "RandomCropNearBBox",
     "RandomCutMixV2",
     "RandomDepthicalFlip3D",
     "RandomElasticTransform",
@@ -195,6 +211,7 @@ __all__ = [
     "RandomHorizontalFlip3D",
     "RandomHue",
     "RandomInvert",
+    "RandomIoUCrop",
     "RandomJPEG",
     "RandomJigsaw",
     "RandomLinearCornerIllumination",
@@ -223,6 +240,7 @@ __all__ = [
     "RandomSaturation",
     "RandomSharpness",
     "RandomShear",
+    "RandomSizedBBoxSafeCrop",
     "RandomSnow",
     "RandomSolarize",
     "RandomThinPlateSpline",
@@ -231,6 +249,7 @@ __all__ = [
     "RandomTransplantation3D",
     "RandomVerticalFlip",
     "RandomVerticalFlip3D",
+    "RandomZoomOut",
     "Resize",
     "Resize3D",
     "RigidAffineAugmentationBase2D",

@@ -147,6 +147,17 @@ def philox(key: Tensor | int, counter: Sequence[Tensor | int]) -> tuple[Any, Any
     return a, b, c, d
 
 
+def mixed_words(x: Tensor) -> Tensor:
+    """The lowest 32 bits of integers as others, one for each: after shifts and products every bit depends on all.
+
+    With the numbers of C. Wellons's hash `lowbias32`.
+    """
+    x = x & 0xFFFFFFFF
+    for shift, factor in ((16, 0x7FEB352D), (15, 0x846CA68B)):
+        x = (x ^ (x >> shift)) * factor & 0xFFFFFFFF
+    return x ^ (x >> 16)
+
+
 def unit(word: Any) -> Any:
     """The number in [0, 1) of a word, in float64."""
     return (word.double() if isinstance(word, Tensor) else word) * 2.0**-32

@@ -46,11 +46,11 @@ class _RandomFlip(GeometricAugmentationBase2D):
         self._param_generator = _FlipGenerator()
 
     def _draw_and_run(
-        self, x: Tensor, seed: Seed, generator: Generator | None, flags: dict[str, Any]
+        self, x: Tensor, seed: Seed, generator: Generator | None, flags: dict[str, Any], labels: Any = None
     ) -> tuple[Tensor, Execution]:
         """A flip of all samples draws nothing but its key, and its matrix is computed when it is read."""
         if not self._is_certain or self._is_customized():
-            return super()._draw_and_run(x, seed, generator, flags)
+            return super()._draw_and_run(x, seed, generator, flags, labels)
         keys = self._keys(x, seed, generator)
         columns = Columns(constant((-1.0,), x, compute_dtype(x)).expand(x.shape[0], 1), Span(0, 1, False))
         execution = Execution(tuple(x.shape), columns, redraw=(keys, 0), is_certain=True)

@@ -109,6 +109,54 @@ def move_boxes(boxes: Any, mode: str, move: BoxMover) -> tuple[Any, Tensor | Non
     return _as_type(_upright(corners) if mode == "vertices" else _boxes_around(corners, mode), boxes), fraction
 
 
+def box_edges(boxes: Any, mode: str, batch: int, given: Any = None) -> Tensor:
+    """The upright boxes (B, N, 4) around boxes of a mode: left, top, right and bottom edges, in pixels; all of an image is (0, 0,
+    W, H). Entries that stand for no box, all numbers of which are 0 in `boxes` or in `given`, are 0.
+    """
+    corners = _batch_of_corners(boxes, mode)
+    if corners is None:
+        return torch.zeros(batch, 0, 4, device="cpu")
+    is_box = _is_given(corners, mode)
+    before = None if given is None or given is boxes else _batch_of_corners(given, mode)
+    if before is not None and before.shape == corners.shape:
+        is_box = is_box & _is_given(before, mode).to(is_box.device)
+    near, far = (
+        (0.0, 1.0) if mode == "vertices" else (0.5, 0.5)
+    )  # from positions that have the first pixel's center at 0
+    edges = torch.cat([corners.amin(-2) + near, corners.amax(-2) + far], -1)
+    return torch.where(is_box[..., None], edges, 0.0)
+
+
+def _batch_of_corners(boxes: Any, mode: str) -> Tensor | None:
+    """The corners (B, N, 4, 2) of boxes in any form, lists padded with those of zeros; None if there are none."""
+    batch: list[Tensor] = []
+
+    def keep(corners: Tensor, is_upright: bool) -> tuple[Tensor, None]:
+        batch.append(corners)
+        return corners, None
+
+    move_boxes(boxes, mode, keep)
+    return batch[0] if batch else None
+
+
+def _is_given(corners: Tensor, mode: str) -> Tensor:
+    """Which boxes (B, N) have a number that is not 0: others are padding, or were removed."""
+    zeros = box_corners(corners.new_zeros((4, 2) if mode == "vertices" else (4,)), mode)
+    return (corners != zeros).flatten(-2).any(-1)
+
+
+def masks_as_batch(masks: Any, images: tuple[int, ...] | None = None) -> Tensor:
+    """Masks in any form as (B, C, H, W), those of a list padded with 0 to the same number."""
+    batch: list[Tensor] = []
+
+    def keep(masks: Tensor) -> Tensor:
+        batch.append(masks)
+        return masks
+
+    move_masks(masks, keep, images)
+    return batch[0]
+
+
 def box_corners(boxes: Tensor, mode: str) -> Tensor:
     """The corners (..., 4, 2) of boxes (..., 4), in coordinates of pixel centers; those of "vertices" as they are."""
     if mode == "vertices":

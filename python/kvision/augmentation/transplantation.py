@@ -10,7 +10,7 @@ import torch
 from torch import Generator, Tensor
 
 from kvision import _check
-from kvision.augmentation.draws import integer
+from kvision.augmentation.draws import integer, mixed_words
 from kvision.augmentation.engine import Execution, Params, replaying
 from kvision.augmentation.keys import Seed
 from kvision.augmentation.labels import parse_data_keys
@@ -214,24 +214,13 @@ class RandomTransplantation(MixAugmentationBaseV2):
         Every label has a random rank that depends on the sample; the label of the pixel with the highest rank is taken.
         """
         flat = donors.flatten(1).long()
-        rank = _mixed(flat ^ _mixed(words)[:, None])
+        rank = mixed_words(flat ^ mixed_words(words)[:, None])
         for label in self.excluded_labels:
             rank = torch.where(flat == label, -1, rank)
         if flat.shape[1] == 0:
             return flat.new_zeros(flat.shape[0]), flat.new_zeros(flat.shape[0], *[1] * (donors.dim() - 1)).bool()
         best, at = rank.max(1, keepdim=True)
         return flat.gather(1, at)[:, 0].to(donors.dtype), per_sample(best >= 0, donors)
-
-
-def _mixed(x: Tensor) -> Tensor:
-    """The lowest 32 bits of integers as others, one for each: after shifts and products every bit depends on all.
-
-    With the numbers of C. Wellons's hash `lowbias32`.
-    """
-    x = x & 0xFFFFFFFF
-    for shift, factor in ((16, 0x7FEB352D), (15, 0x846CA68B)):
-        x = (x ^ (x >> shift)) * factor & 0xFFFFFFFF
-    return x ^ (x >> 16)
 
 
 class RandomTransplantation3D(RandomTransplantation):

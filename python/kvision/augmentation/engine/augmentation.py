@@ -13,6 +13,7 @@ from kvision.augmentation.engine.execution import Execution, Params, replaying
 from kvision.augmentation.engine.executor import Executor
 from kvision.augmentation.inputs import WIDE_INTEGERS, check_image, check_matrix, image_and_matrix, in_type_of
 from kvision.augmentation.keys import Seed
+from kvision.augmentation.labels import box_edges, masks_as_batch
 from kvision.augmentation.maps import exact
 from kvision.augmentation.samples import (
     at_scale,
@@ -93,9 +94,10 @@ class AugmentationBase(Executor, keeps_contract=True):
         x = self.transform_tensor(image)
         if before is not None:
             check_matrix(self, before, x)
+        labels = self._labels_of_call(kwargs, x) if self.reads_labels is not None else None
         flags = self._flags_of(kwargs)
         if params is None:
-            y, execution = self._draw_and_run(x, seed, generator, flags)
+            y, execution = self._draw_and_run(x, seed, generator, flags, labels)
         else:
             with replaying(type(self).__name__, params):
                 execution = self._execution = self._from_params(params, x)  # before it runs, as in _draw_and_run
@@ -104,6 +106,16 @@ class AugmentationBase(Executor, keeps_contract=True):
             y = self._restored(y, image)
         returns = self.return_transform if return_transform is None else return_transform
         return with_matrix(y, before, self._matrix(execution).to(y.device) if returns else None)
+
+    def _labels_of_call(self, kwargs: dict[str, Any], x: Tensor) -> Any:
+        """What a draw reads of the labels among the arguments of a call, which are taken out of them."""
+        assert self.reads_labels is not None
+        labels = kwargs.pop(self.reads_labels, None)
+        if labels is None:
+            return None
+        if self.reads_labels == "masks":
+            return [masks_as_batch(labels, tuple(x.shape))]
+        return box_edges(labels, "xyxy", x.shape[0]).to(x.device)
 
     # --- what was drawn ---
 

@@ -13,9 +13,10 @@ from kvision import _check
 from kvision._choices import EachOrOnce, MatrixMode, OutputType
 from kvision.augmentation import labels
 from kvision.augmentation.engine.augmentation import RigidAffineAugmentationBase2D, RigidAffineAugmentationBase3D
+from kvision.augmentation.engine.call_labels import CallLabels
 from kvision.augmentation.engine.image_sequential import ImageSequential, ParamItem
 from kvision.augmentation.engine.label_moves import move_boxes_back
-from kvision.augmentation.engine.label_record import LabelRecord, moved_masks
+from kvision.augmentation.engine.label_record import LabelRecord
 from kvision.augmentation.engine.record import Record
 from kvision.augmentation.engine.stages import (
     Chain,
@@ -42,6 +43,7 @@ from kvision.augmentation.keys import Seed
 from kvision.augmentation.samples import inverse_at
 from kvision.constants import AnyDataKey, DataKey, DataKeys, Resample
 from kvision.core.exceptions import BaseError, ValueCheckError
+from kvision.geometry.transform.lists.arguments import largest_shape
 
 __all__ = ["AugmentationSequential"]
 
@@ -281,11 +283,12 @@ class AugmentationSequential(ImageSequential):
         x = self.transform_tensor(image)
         if before is not None:
             check_matrix(self, before, x)
-        masks = None
-        if DataKey.MASK in keys and isinstance(x, Tensor):
-            masks = functools.partial(self._masks_after, inputs[keys.index(DataKey.MASK)], tuple(x.shape))
+        call_labels = None
+        if len(keys) > 1:
+            shape = tuple(x.shape) if isinstance(x, Tensor) else largest_shape(x)
+            call_labels = CallLabels(keys, inputs, self._label_settings, shape, not isinstance(x, Tensor))
         time = 0 if videos is None else videos.sizes[1]
-        y, record = self._execute(x, params, self._context(seed, generator, time, len(keys) > 1, masks))
+        y, record = self._execute(x, params, self._context(seed, generator, time, len(keys) > 1, call_labels))
         record.size, record.videos = tuple(y.shape[2:]), videos
         if len(keys) > 1:
             record.labels = LabelRecord(self._label_settings, record.shape, record.size)
@@ -300,10 +303,6 @@ class AugmentationSequential(ImageSequential):
         outputs[first] = self._restored(y, image)
         record.stages.forget()
         return as_videos(videos, outputs, restore), record
-
-    def _masks_after(self, masks: Any, images: tuple[int, ...], stages: Chain) -> Any:
-        """The masks of a call after its first stages, for what mixes by them."""
-        return moved_masks(masks, stages, self._label_settings.masks or MaskReading(), images)
 
     def _move_alone(self, keys: list[DataKey], inputs: list[Any], params: Any) -> tuple[list[Any], Record]:
         """Labels without their images, moved by the last call or by given parameters."""

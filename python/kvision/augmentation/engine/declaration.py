@@ -16,7 +16,8 @@ from torch import Generator, Tensor, nn
 from typing_extensions import Self
 
 from kvision import _check
-from kvision.augmentation.columns import Names, Span, name_columns
+from kvision._constants import constant
+from kvision.augmentation.columns import Columns, Names, Span, identity_values, name_columns
 from kvision.augmentation.draws import Draw, Request
 from kvision.augmentation.engine.configuration import SWITCHES, Flags, Plans, portable, settings_changed
 from kvision.augmentation.engine.contribution import Colors, Contribution
@@ -63,6 +64,9 @@ class Declaration(KeepsArguments):
     whole_batch: ClassVar[bool] = False  # the size of the result changes, so that all samples are chosen or none
     has_known_size: bool = True  # the size of the result follows from that of the images, without what is drawn
     needs_masks: ClassVar[bool] = False  # images are changed by their masks, which containers hand over
+    # "boxes" or "masks" of the images, from which the generator derives columns: containers hand over those that are there by
+    # then, and calls have an argument of this name.
+    reads_labels: ClassVar[str | None] = None
     accepts_bytes: ClassVar[bool] = True  # otherwise uint8 images are computed in float32, in [0, 1]
     accepts_wide_integers: ClassVar[bool] = False  # images of int16 and uint16, which are computed in float32
     keeps_lines: ClassVar[bool] = True  # straight lines stay straight, so that the corners of a box say where it is
@@ -184,6 +188,32 @@ class Declaration(KeepsArguments):
         return self._param_generator(tuple(batch_shape), self.same_on_batch)
 
     @property
+    def _derives(self) -> bool:
+        """Whether columns follow from others that are drawn, as where labels take part."""
+        generator = self._param_generator
+        return generator is not None and generator.derives
+
+    def _derived(self, drawn: Columns, sizes: Tensor, labels: Any = None, frames: int = 1) -> Columns:
+        """The columns of images of sizes (B, 2), from drawn ones and labels; those of `frames` neighbors are the same."""
+        assert self._param_generator is not None
+        values = drawn.values[::frames] if frames > 1 else drawn.values
+        values = self._param_generator.derive(values, sizes, labels).to(drawn.drawn)
+        values = values.repeat_interleave(frames, 0) if frames > 1 else values
+        chosen = drawn.chosen
+        if chosen is None:
+            return Columns(values, Span(0, values.shape[1], False))
+        values = torch.where(chosen[:, None] > 0.5, values, self._param_generator.identity(sizes[:1]).to(values))
+        return Columns(torch.cat([chosen[:, None], values], 1), Span(0, values.shape[1] + 1, True))
+
+    def _identity_values(self, shape: Shape, like: Tensor) -> Tensor:
+        """What the columns (1, P) of the parameters hold for samples of a shape that are not chosen."""
+        generator = self._param_generator
+        if generator is not None and generator.derives:
+            return generator.identity(size_of(shape, like))
+        draws = [] if generator is None else list(generator.draws(shape))
+        return constant(tuple(identity_values(draws)), like)[None]
+
+    @property
     def _is_certain(self) -> bool:
         """Whether all samples of all batches are augmented."""
         return self.p == 1 and self.p_batch == 1
@@ -291,6 +321,11 @@ class Declaration(KeepsArguments):
             is_customized = self._draws_by_name or any(self._is_overridden(name) for name in _OVERRIDABLE)
             self._plans.keep("customized", is_customized)
         return is_customized
+
+
+def size_of(shape: Sequence[int], like: Tensor) -> Tensor:
+    """Height and width of images of a shape as numbers (1, 2)."""
+    return constant(tuple(shape[-2:]), like)[None]
 
 
 def _shown(value: Any) -> str:

@@ -8,12 +8,11 @@ import torch
 from torch import Generator, Tensor
 from torch.compiler import is_compiling
 
-from kvision._constants import constant
 from kvision._ops import match_layout
-from kvision.augmentation.columns import Columns, DrawPlan, Span, draw_columns, identity_values, plan_draws
+from kvision.augmentation.columns import Columns, DrawPlan, Span, draw_columns, plan_draws
 from kvision.augmentation.drawn_pass import DrawnPass
 from kvision.augmentation.draws import Request, is_chosen_batch
-from kvision.augmentation.engine.declaration import Declaration
+from kvision.augmentation.engine.declaration import Declaration, size_of
 from kvision.augmentation.engine.execution import (
     Execution,
     Params,
@@ -77,17 +76,23 @@ class Executor(Declaration):
             self._plans.keep(key, (draws,))
         return draws
 
-    def _draw(self, x: Tensor, seed: Seed, generator: Generator | None) -> Execution:
-        """Draw the columns of a call."""
+    def _draw(self, x: Tensor, seed: Seed, generator: Generator | None, labels: Any = None) -> Execution:
+        """Draw the columns of a call, by its labels where the draw reads some."""
         shape = tuple(x.shape)
         draws = self._draws(shape, seed is not None)
         if draws is None:
             execution = Execution(shape, applied=self._applies(None, 0))
         else:
             keys = self._keys(x, seed, generator)
-            columns = Columns(draws.draw(x, keys), draws.spans[0])
+            columns: Columns | None
+            columns = drawn = Columns(draws.draw(x, keys), draws.spans[0])
             applied = self._applies(keys, 0)
-            execution = Execution(shape, columns, applied=applied, redraw=(keys, 0), is_certain=self._is_certain)
+            redraw: tuple[Keys, int] | None = (keys, 0)
+            if self._derives:
+                redraw, columns = None, None
+                if applied:
+                    columns = self._derived(drawn, size_of(shape, drawn.drawn), labels)
+            execution = Execution(shape, columns, applied=applied, redraw=redraw, is_certain=self._is_certain)
         execution.identity = matrix_type(x)
         return execution
 
@@ -135,8 +140,7 @@ class Executor(Declaration):
         """The columns (B, P) of samples of which none is chosen."""
         if self._param_generator is None or self._draws_by_name:
             return torch.empty(shape[0], 0, device="cpu")
-        values = identity_values(list(self._param_generator.draws(shape)))
-        return torch.tensor(values, dtype=torch.float32, device="cpu").expand(shape[0], len(values))
+        return self._identity_values(shape, torch.empty(0, device="cpu")).expand(shape[0], -1)
 
     def _values_on_host(self, execution: Execution) -> Tensor:
         """The values (B, P) for decisions of the host, without waiting for what the device has drawn."""
@@ -228,17 +232,15 @@ class Executor(Declaration):
     def _columns_of(self, params: Params, shape: Shape, device: torch.device, chosen: Tensor | None) -> Columns | None:
         """The columns that would have been drawn for given parameters."""
         if self._param_generator is None:
-            values, draws = torch.empty(shape[0], 0, device=device), []
+            values = torch.empty(shape[0], 0, device=device)
         else:
             with replaying(type(self).__name__, params):
                 values = self._param_generator.to_columns(self._on_device(params, device), shape).to(device)
-            draws = list(self._param_generator.draws(shape))
         if values.dtype != torch.float64:
             values = values.float()
         parts = [values, *self._further_columns(shape, values, chosen)]
         if chosen is not None and not self.whole_batch:
-            identity = constant(tuple(identity_values(draws)), values)
-            parts[0] = torch.where(chosen[:, None], values, identity)
+            parts[0] = torch.where(chosen[:, None], values, self._identity_values(shape, values))
             parts.insert(0, chosen[:, None].to(values.dtype))
         drawn = torch.cat(parts, 1) if len(parts) > 1 else values
         return Columns(drawn, Span(0, drawn.shape[1], len(parts) > 1 and parts[0] is not values and chosen is not None))
@@ -254,7 +256,8 @@ class Executor(Declaration):
             decides = self.whole_batch and 0 < self.p_batch < 1  # on the host, in each call
             applied = not decides and self._applies(None, 0)
             span = None if draws is None else draws.spans[0]
-            image_pass = self._pass_of(x.dtype, shape, span, self.flags) if applied else None
+            # Derived columns do not follow from the draws alone, so that no pass is planned with these.
+            image_pass = self._pass_of(x.dtype, shape, span, self.flags) if applied and not self._derives else None
             drawn = None if image_pass is None or draws is None else DrawnPass(draws, image_pass, shape, x.dtype)
             plan = CallPlan(shape, draws, self._is_certain, image_pass, drawn)
             if draws is None or draws.learned is None:
@@ -280,13 +283,13 @@ class Executor(Declaration):
     # --- execution ---
 
     def _draw_and_run(
-        self, x: Tensor, seed: Seed, generator: Generator | None, flags: dict[str, Any]
+        self, x: Tensor, seed: Seed, generator: Generator | None, flags: dict[str, Any], labels: Any = None
     ) -> tuple[Tensor, Execution]:
         """Draw parameters and execute with them. The execution is stored for `_params` and `transform_matrix`."""
         plan = self._plan(x, seed is not None)
         if plan.image_pass is None or flags is not self.flags:
             # Stored before it runs, because a user's method may add to `_params`; faster than Module.__setattr__.
-            execution = self.__dict__["_execution"] = self._draw(x, seed, generator)
+            execution = self.__dict__["_execution"] = self._draw(x, seed, generator, labels)
             return self._run(x, execution, flags), execution
         if plan.draws is None or plan.drawn is None:
             y, matrix = plan.image_pass.run(x, None)

@@ -430,10 +430,10 @@ class ImageSequential(ImageSequentialBase):
         return SAME if is_same else Output(self.output_dtype, self.memory_format)
 
     def _context(
-        self, seed: Seed, generator: Generator | None, time: int = 0, has_labels: bool = False, masks: Any = None
+        self, seed: Seed, generator: Generator | None, time: int = 0, has_labels: bool = False, labels: Any = None
     ) -> CallContext:
         op, once, own = type(self).__name__, self.resample == "once", self.generator
-        return CallContext(op, seed, generator, once, self._plans, self._output, 1, 0, time, has_labels, masks, own)
+        return CallContext(op, seed, generator, once, self._plans, self._output, 1, 0, time, has_labels, labels, own)
 
     @property
     def _params(self) -> list[ParamItem]:

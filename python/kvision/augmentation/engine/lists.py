@@ -17,6 +17,7 @@ from kvision._dtype import compute_dtype
 from kvision.augmentation import labels
 from kvision.augmentation.columns import Columns, Span, split_inputs
 from kvision.augmentation.draws import KINDS, MAX_DRAWS, MAX_NUMBERS, Request, draw_parameters
+from kvision.augmentation.engine.call_labels import CallLabels
 from kvision.augmentation.engine.execution import Execution, matrix_type
 from kvision.augmentation.engine.record import Child
 from kvision.augmentation.engine.stages import MaskReading, Warp
@@ -145,7 +146,12 @@ class ListExecution(Execution):
 
 
 def execute_list(
-    images: Sequence[Tensor], child: Child, module: Any, keys: Keys | None, position: int
+    images: Sequence[Tensor],
+    child: Child,
+    module: Any,
+    keys: Keys | None,
+    position: int,
+    call_labels: CallLabels | None = None,
 ) -> tuple[Tensor, ListWarp]:
     """The batch that the first augmentation makes of a list, and what labels have to follow."""
     own, flags, like = list_plan(module), module.flags, like_batch(images)
@@ -158,6 +164,8 @@ def execute_list(
         values = generator.to_columns(child.params, shapes[0]).to(like.device)
     elif keys is not None:
         values = _draw(like, [module._request(shape) for shape in shapes], keys, position)
+        if module._derives:
+            values = _derived(module, values, images, call_labels)
     if values.shape[1]:
         span = Span(0, values.shape[1], False)
     values = values.to(compute_dtype(like))
@@ -190,6 +198,24 @@ def _draw(like: Tensor, requests: Sequence[Request], keys: Keys, position: int) 
             1, (len(part), width)
         )
         rows.append(drawn[begin : begin + each].diagonal(dim1=0, dim2=1).T)
+    return torch.cat(rows)
+
+
+def _derived(module: Any, drawn: Tensor, images: Sequence[Tensor], call_labels: CallLabels | None) -> Tensor:
+    """The columns (B, P) that an augmentation derives from drawn ones and the labels of each image."""
+    hw = torch.tensor([x.shape[-2:] for x in images], device="cpu").to(drawn, non_blocking=True)
+    read = None
+    if module.reads_labels is not None and call_labels is not None:
+        read = call_labels.read(module.reads_labels, (len(images), *images[0].shape))
+    span = Span(0, drawn.shape[1], False)
+    if not isinstance(read, list):
+        return module._derived(Columns(drawn, span), hw, None if read is None else read.to(drawn.device)).drawn
+    rows = []
+    for b in range(len(images)):
+        masks = [
+            labels.masks_as_batch(of_input[b][None] if of_input[b].dim() == 3 else of_input[b]) for of_input in read
+        ]
+        rows.append(module._derived(Columns(drawn[b : b + 1], span), hw[b : b + 1], masks).drawn)
     return torch.cat(rows)
 
 

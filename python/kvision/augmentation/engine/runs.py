@@ -18,7 +18,7 @@ decided once for them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Hashable, Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -30,7 +30,9 @@ from kvision.augmentation.drawn_links import DrawnLinks
 from kvision.augmentation.drawn_pass import DrawnPass
 from kvision.augmentation.draws import Request
 from kvision.augmentation.engine.augmentation import AugmentationBase
+from kvision.augmentation.engine.call_labels import CallLabels
 from kvision.augmentation.engine.configuration import Plans
+from kvision.augmentation.engine.declaration import size_of
 from kvision.augmentation.engine.execution import Execution, Shape, matrix_type
 from kvision.augmentation.engine.lists import check_start, execute_list
 from kvision.augmentation.engine.passes import Planned, Running, Step, plan_steps
@@ -57,7 +59,7 @@ class CallContext(NamedTuple):
     position: int = 0  # of the first child in the chain, under a seed
     time: int = 0  # how many neighboring samples are the frames of a video; 0 for images
     has_labels: bool = False  # which follow the images, so that maps are kept for them
-    masks: Callable[[Chain], Any] | None = None  # those of the images after stages, for what mixes by them
+    labels: CallLabels | None = None  # of the images, for draws that read them
     default_generator: Generator | None = None  # of the container, for children without one of their own
     is_certain: bool = False  # children are executed for all samples, whatever their probabilities say
     # (B,) on the CPU: the number of the only child that a sample gets, of a run which then is certain; None where it gets all.
@@ -74,7 +76,8 @@ class CallContext(NamedTuple):
 
     def inside(self, module: nn.Module, once: bool, plans: Plans, output: Output) -> CallContext:
         """For the children of a container that is a child."""
-        own = (self.frames, self.position, self.time, self.has_labels, self.masks, self.generator_of(module))
+        labels = None if self.labels is None else self.labels.inside(getattr(module, "_label_settings", None))
+        own = (self.frames, self.position, self.time, self.has_labels, labels, self.generator_of(module))
         return CallContext(self.op, self.seed, self.generator, once, plans, output, *own)  # faster than _replace
 
     @property
@@ -95,7 +98,7 @@ def execute(
     position = context.position if position is None else position
     if isinstance(x, list):
         x, first, drawn = _execute_list(x, children, context, position)
-        x, rest = execute(x, children[1:], context, position + drawn, 1 - drawn)
+        x, rest = execute(x, children[1:], _after([first], context), position + drawn, 1 - drawn)
         return x, Chain([first, *rest])
     key = _key(x, children, context, position)
     plan: _RunPlan | None = context.plans.get(key)
@@ -106,14 +109,13 @@ def execute(
     for i, (run, kind) in enumerate(runs):
         own = context if i == len(runs) - 1 or context.output is SAME else context._replace(output=SAME)
         if kind == "joined":
-            x, more = _execute_run(x, run, own, position)
+            x, more = _execute_run(x, run, _after(stages, own), position)
             stages += more.stages
         elif kind == "with masks":
-            x, stage = _execute_with_masks(x, run[0], context, stages, position)
+            x, stage = _execute_with_masks(x, run[0], _after(stages, context), position)
             stages.append(stage)
         else:
-            masks = None if context.masks is None else _masks_after(stages, context.masks)
-            inside = context._replace(position=_position_inside(position), masks=masks)
+            inside = _after(stages, context)._replace(position=_position_inside(position))
             x, stage = _execute_module(x, run[0], inside)
             if own.output != SAME:
                 x, _ = make_pass(None, output=own.output).run(x, None)
@@ -133,26 +135,26 @@ def _execute_list(
         keys = _more_keys(None, [module], images[0], context)
         if keys.seeds is not None:
             check_seeds(context.op, keys, len(images))
-    x, stage = execute_list(images, children[0], module, keys, position)
+    x, stage = execute_list(images, children[0], module, keys, position, context.labels)
     return x, stage, int(keys is not None)
 
 
-def _masks_after(stages: Sequence[Stage], masks: Callable[[Chain], Any]) -> Callable[[Chain], Any]:
-    """The masks for a container inside, whose stages follow those before it."""
-    before = list(stages)
-    return lambda inside: masks(Chain([*before, *inside.stages]))
+def _after(stages: Sequence[Stage], context: CallContext) -> CallContext:
+    """The context of what comes after stages, with the labels that they leave."""
+    if context.labels is None or not stages:
+        return context
+    return context._replace(labels=context.labels.after(stages))
 
 
-def _execute_with_masks(
-    x: Tensor, child: Child, context: CallContext, stages: Sequence[Stage], position: int
-) -> tuple[Tensor, Stage]:
+def _execute_with_masks(x: Tensor, child: Child, context: CallContext, position: int) -> tuple[Tensor, Stage]:
     """An augmentation of images by their masks."""
     module: Any = child.module
-    masks = None if context.masks is None else context.masks(Chain(stages))
+    masks = [] if context.labels is None else context.labels.masks()
     seed = context.seed_of_samples
     if seed is not None:
         seed = seed + ((position + 1) << 32)  # as a seed is that of a chain of one
-    y, child.record = module._run_with_masks(x, masks, child.params, seed, context.generator_of(module))
+    first = masks[0] if masks else None
+    y, child.record = module._run_with_masks(x, first, child.params, seed, context.generator_of(module))
     return y, Applied(module, child.record, module.flags)
 
 
@@ -227,7 +229,8 @@ class _RunPlan(NamedTuple):
     draws: Sequence[DrawPlan]
     requests: Sequence[int | None]  # of each augmentation, its number among those of the draws
     modules: Sequence[AugmentationBase]  # of each request
-    spans: Sequence[Span | None]  # its columns among all
+    spans: Sequence[Span | None]  # its columns among all, those that are derived behind all that are drawn
+    derived_from: Sequence[Span | None]  # the drawn columns of each whose columns are derived
     shapes: Sequence[Shape]  # of its images
     applied: Sequence[bool]
     steps: Sequence[Step]
@@ -263,6 +266,8 @@ def _execute_run(
         else:
             columns, result, links = plan.drawn.draw(x, keys)
         executions, steps = _executions(x, plan, columns, keys, context.frames), plan.steps
+        if columns is not None and any(span is not None for span in plan.derived_from):
+            columns = _with_derived(modules, executions, columns, plan, context)
     for child, module, execution in zip(run, modules, executions):
         child.record = module.__dict__["_execution"] = execution  # faster than Module.__setattr__
     running = Running(modules, executions, columns, context.has_labels, result, links)
@@ -342,6 +347,34 @@ def _executions(x: Tensor, plan: _RunPlan, columns: Tensor | None, keys: Keys | 
     return executions
 
 
+def _with_derived(
+    modules: Sequence[AugmentationBase],
+    executions: Sequence[Execution],
+    columns: Tensor,
+    plan: _RunPlan,
+    context: CallContext,
+) -> Tensor:
+    """The columns of a run, and behind them those that augmentations derive from the labels that are there before each of them."""
+    stages: list[Stage] = []
+    parts = [columns]
+    for module, execution, span in zip(modules, executions, plan.derived_from):
+        if span is not None:
+            labels = None
+            if module.reads_labels is not None and context.labels is not None:
+                labels = context.labels.after(stages).read(module.reads_labels, execution.shape, context.frames)
+                labels = labels.to(columns.device) if isinstance(labels, Tensor) else labels
+            drawn, sizes = Columns(columns, span), size_of(execution.shape, columns)
+            execution.columns = module._derived(drawn, sizes, labels, context.frames)
+            execution.redraw = None  # the host does not know the labels
+            parts.append(execution.columns.drawn)
+        stages.append(Applied(module, execution, module.flags))
+    columns = torch.cat(parts, 1)
+    for execution, span, source in zip(executions, plan.spans, plan.derived_from):
+        if source is not None and span is not None:
+            execution.columns = Columns(columns, span)
+    return columns
+
+
 def _plan_run(
     x: Tensor, modules: Sequence[AugmentationBase], context: CallContext, position: int
 ) -> tuple[_RunPlan, Keys | None]:
@@ -382,6 +415,13 @@ def _plan_run(
         spans_of_requests += [span.moved(width) for span in draw.spans]
         width += draw.plan[0]
     spans = [None if number is None else spans_of_requests[number] for number in numbers]
+    derived_from: list[Span | None] = []
+    for i, (module, span) in enumerate(zip(modules, spans)):
+        derived_from.append(span if module._derives and applied[i] else None)
+        if span is not None and module._derives:
+            count = len(module._identity_values(shapes[i], torch.empty(0, device="cpu"))[0]) + span.has_chosen
+            spans[i] = Span(width, count, span.has_chosen) if applied[i] else None
+            width += count if applied[i] else 0
     planned = [
         Execution(shape, None if span is None else Columns(x, span), applied=applies)  # of its span only
         for shape, span, applies in zip(shapes, spans, applied)
@@ -389,12 +429,13 @@ def _plan_run(
     steps = plan_steps(modules, planned, context.once, x.dtype, context.output)
     certain = [not has_owners and (context.is_certain or module._is_certain) for module in modules]
     drawn = None
-    if steps and len(draws) == 1 and context.frames == 1 and not has_owners:
+    derives = any(span is not None for span in derived_from)
+    if steps and len(draws) == 1 and context.frames == 1 and not has_owners and not derives:
         keys_of = [None if number is None else (first + number, has_seed) for number in numbers]
         drawn = steps[0].drawn_with(draws[0], Planned(modules, shapes, x.dtype, keys_of))
     owners, identity = _owners_of_columns(requests, spans_of_requests) if has_owners else (None, ())
     return _RunPlan(
-        draws, numbers, drawing, spans, shapes, applied, steps, first, certain, drawn, owners, identity
+        draws, numbers, drawing, spans, derived_from, shapes, applied, steps, first, certain, drawn, owners, identity
     ), keys
 
 

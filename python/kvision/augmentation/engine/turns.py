@@ -193,7 +193,10 @@ def execute_turns(x: Tensor, turns: Sequence[Turn], context: CallContext) -> tup
     executed: list[Child] = []
     for turn in turns:
         for samples in rows.by_size(turn.samples):
-            own = context._replace(output=SAME, masks=None, seed=_seed_of(context.seed, samples, batch))
+            labels = (
+                None if context.labels is None else context.labels.of_samples(_wrap(stages, samples, batch), samples)
+            )
+            own = context._replace(output=SAME, labels=labels, seed=_seed_of(context.seed, samples, batch))
             children = [replace(child, samples=samples, batch=batch) for child in turn.children]
             source = rows.take(samples)
             if turn.parts is None:
@@ -241,6 +244,8 @@ def joins(module: Any, shape: tuple[int, ...]) -> Any:
     """
     if not isinstance(module, AugmentationBase) or module.whole_batch or module.needs_masks or module.fuses_noise:
         return None
+    if module._derives:  # columns that the others of a run would have to leave as they are
+        return None
     contribution = module._contribution(shape, module.flags)
     if contribution is None or not module.has_known_size or len(shape) != module.axes + 1 != 4:
         return None
@@ -252,6 +257,12 @@ def joins(module: Any, shape: tuple[int, ...]) -> Any:
     if motion.permutes_pixels:
         return True
     return motion.resampling if isinstance(motion.resampling.fill, (int, float, type(None))) else None
+
+
+def _wrap(before: Sequence[Stage], samples: Sequence[int], batch: int) -> Callable[[list[Stage]], Stage]:
+    """What stages of some samples are for all, after the turns before them."""
+    earlier = list(before)
+    return lambda stages: Turns([*earlier, SomeSamples(Chain(stages), samples, batch, None)])
 
 
 def _seed_of(seed: Any, rows: Sequence[int], batch: int) -> Any:

@@ -8,6 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from kvision._constants import constant
 from kvision.augmentation.columns import draw_columns
 from kvision.augmentation.draws import Draw, Request
 from kvision.augmentation.engine import settings_changed
@@ -39,6 +40,7 @@ class RandomGeneratorBase(nn.Module):
     fields: Sequence[tuple[str, int]] = ()
     hidden: Sequence[str] = ()  # fields that are no parameters
     per_pixel = False  # there are `pixel_params` besides
+    derives = False  # the columns follow from the drawn ones by `derive`
     has_names = True  # False if users see none of the columns, so that given parameters can lack none
 
     def __init__(self) -> None:
@@ -73,6 +75,24 @@ class RandomGeneratorBase(nn.Module):
         """The draws for images of `shape` (B, C, H, W)."""
         raise NotImplementedError(f"{type(self).__name__}.draws")
 
+    def derive(self, drawn: Tensor, sizes: Tensor, labels: Any) -> Tensor:
+        """The columns (B, P), which `fields` name, from drawn ones, where a class has `derives`.
+
+        Args:
+            drawn: what `draws` gives.
+            sizes: height and width of the images, (B, 2), or (1, 2) for all.
+            labels: boxes (B, N, 4) by their edges, 0 for none, or a list of masks (B, C, H, W), as the augmentation says; None if
+                there are none.
+
+        Returns:
+            The columns.
+        """
+        raise NotImplementedError(f"{type(self).__name__}.derive")
+
+    def identity(self, sizes: Tensor) -> Tensor:
+        """The derived columns (1, P) of samples that are not chosen, from the size (1, 2) of the images."""
+        raise NotImplementedError(f"{type(self).__name__}.identity")
+
     def to_params(self, columns: Tensor, shape: Shape) -> dict[str, Tensor]:
         """The parameters by name, from their columns (B, P)."""
         params, first = {}, 0
@@ -104,10 +124,13 @@ class RandomGeneratorBase(nn.Module):
         like = torch.empty(batch_shape[0], device=self.device)
         keys = draw_keys(type(self).__name__, 1, like.device, None, None)
         (columns,) = draw_columns(like, keys, [Request(self.draws(batch_shape), same_on_batch=same_on_batch)])
-        params = self.to_params(columns.values, batch_shape)
+        values = columns.values
+        if self.derives:
+            values = self.derive(values, constant(tuple(batch_shape[-2:]), values)[None], None).to(values)
+        params = self.to_params(values, batch_shape)
         if self.per_pixel:
             noise = PixelNoise(keys, 0, same_on_batch, like.device)
-            params.update(self.pixel_params(columns.values, batch_shape, noise))
+            params.update(self.pixel_params(values, batch_shape, noise))
         return {
             name: x.to(self.dtype) if isinstance(x, Tensor) and x.is_floating_point() else x
             for name, x in params.items()

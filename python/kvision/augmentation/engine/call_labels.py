@@ -1,0 +1,123 @@
+"""The labels of one call as draws read them: boxes and masks as they are when the images reach an augmentation."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from kvision.augmentation import labels
+from kvision.augmentation.engine.label_record import LabelRecord, moved_masks
+from kvision.augmentation.engine.stages import Chain, LabelSettings, MaskReading, Nested, Stage
+from kvision.augmentation.labels import BOX_FORMATS, BoxFilter
+from kvision.constants import DataKey
+
+Size = tuple[int, ...]
+
+
+class CallLabels:
+    """The labels of a call with the stages that its images have been through.
+
+    Args:
+        keys: what the values are.
+        values: images and labels as the call has them.
+        settings: those of the container.
+        images: the shape (B, C, H, W) of the images; of a list of images the largest one.
+        is_list: the call has a list of images.
+        stages: what has been done to the images in the container.
+        outer: in a part of the call, such as a container that is a child, the labels before it.
+        wrap: gives what outer labels follow, of the stages of the part.
+        rows: the samples of the outer batch that the part is about; None for all.
+    """
+
+    def __init__(
+        self,
+        keys: Sequence[DataKey],
+        values: Sequence[Any],
+        settings: LabelSettings | None,
+        images: Size,
+        is_list: bool = False,
+        stages: Sequence[Stage] = (),
+        outer: CallLabels | None = None,
+        wrap: Callable[[list[Stage]], Stage] | None = None,
+        rows: Sequence[int] | None = None,
+    ) -> None:
+        self.keys, self.values, self.settings, self.images = keys, values, settings, images
+        self.is_list, self.stages, self.outer, self.wrap, self.rows = is_list, stages, outer, wrap, rows
+
+    def after(self, stages: Sequence[Stage]) -> CallLabels:
+        """The labels after further stages."""
+        if not stages:
+            return self
+        return self._with([*self.stages, *stages], self.outer, self.wrap, self.rows)
+
+    def inside(self, settings: LabelSettings | None) -> CallLabels:
+        """The labels in a container that is the next child, with its settings."""
+        own = _of_steps(settings)
+        return self._with((), self, lambda stages: Nested(stages, own))
+
+    def of_samples(self, wrap: Callable[[list[Stage]], Stage], rows: Sequence[int]) -> CallLabels:
+        """The labels of some samples, to which stages happen that are one stage of the whole batch by `wrap`."""
+        return self._with((), self, wrap, rows)
+
+    def _with(self, stages: Sequence[Stage], *part: Any) -> CallLabels:
+        return CallLabels(self.keys, self.values, self.settings, self.images, self.is_list, stages, *part)
+
+    def read(self, kind: str, shape: Size, frames: int = 1) -> Any:
+        """What a draw reads: `boxes` or `masks` of the images, now of a shape; those of `frames` neighbors together."""
+        return self.boxes(shape, frames) if kind == "boxes" else self.masks_of_samples(frames)
+
+    def boxes(self, shape: Size, frames: int = 1) -> Tensor | None:
+        """(B, N, 4), see `labels.box_edges`; None if the call has no boxes."""
+        known = [(key, value) for key, value in zip(self.keys, self.values) if key in BOX_FORMATS]
+        if not known:
+            return None
+        stages, moved = self._chain(), [value for _, value in known]
+        if stages:
+            record = LabelRecord(_of_steps(self.settings) or LabelSettings(), self.images, shape[2:])
+            moved = record.move([key for key, _ in known], moved, Chain(stages))
+        edges = [
+            labels.box_edges(now, BOX_FORMATS[key], self.images[0], value) for (key, value), now in zip(known, moved)
+        ]
+        boxes = self._selected(torch.cat([part.to(edges[0]) for part in edges], 1))
+        return boxes.reshape(shape[0] // frames, frames * boxes.shape[1], 4) if frames > 1 else boxes
+
+    def masks(self) -> list[Any]:
+        """Those of all inputs, in the form in which they were given."""
+        settings = self.settings
+        reading = MaskReading() if settings is None or settings.masks is None else settings.masks
+        stages = Chain(self._chain())
+        return [
+            moved_masks(value, stages, reading, self.images)
+            for key, value in zip(self.keys, self.values)
+            if key == DataKey.MASK
+        ]
+
+    def masks_of_samples(self, frames: int = 1) -> list[Any] | None:
+        """Those of all inputs (B, C, H, W), of a list of images a list of (N, H, W); None if the call has no masks."""
+        if self.is_list and not self._chain():
+            return [value for key, value in zip(self.keys, self.values) if key == DataKey.MASK] or None
+        masks = self.masks()
+        if not masks:
+            return None
+        batches = [self._selected(labels.masks_as_batch(value)) for value in masks]
+        return [x.unflatten(0, (-1, frames)).flatten(1, 2) for x in batches] if frames > 1 else batches
+
+    def _selected(self, x: Tensor) -> Tensor:
+        """Of labels (B, ...) of the call those of the samples that this is about."""
+        x = x if self.outer is None else self.outer._selected(x)
+        return x if self.rows is None else x[torch.tensor(self.rows, device="cpu").to(x.device, non_blocking=True)]
+
+    def _chain(self, inner: Sequence[Stage] = ()) -> list[Stage]:
+        """All stages from the images of the call."""
+        own = [*self.stages, *inner]
+        if self.outer is None or self.wrap is None:
+            return own
+        return self.outer._chain([self.wrap(own)])
+
+
+def _of_steps(settings: LabelSettings | None) -> LabelSettings | None:
+    """Settings without what is done to boxes at the end of a container."""
+    return None if settings is None else settings._replace(box_filter=BoxFilter(settings.clips_each))

@@ -233,6 +233,25 @@ def test_masks_of_the_step(device: torch.device) -> None:
     assert all(m.sum() == 1 for m in lists)
 
 
+def test_key_points_keep_their_visibility(device: torch.device) -> None:
+    """As COCO has it; 0 for points that leave, in this step or in one before."""
+    points = torch.tensor([[[1.0, 2, 2], [7, 3, 1], [2, 2, 0], [6, 1, 2]]], device=device)
+    shift = A.RandomTranslate((-0.5, -0.5), (0.0, 0.0), p=1.0)  # by 4 pixels to the left
+    augment = A.AugmentationSequential(shift, A.RandomHorizontalFlip(p=1.0), data_keys=["image", "keypoints"])
+    x = torch.zeros(1, 1, 4, 8, device=device)
+    _, moved = augment(x, points)
+    torch.testing.assert_close(moved, torch.tensor([[[10.0, 2, 0], [4, 3, 1], [9, 2, 0], [5, 1, 2]]], device=device))
+    _, lists = augment(x, [points[0]])
+    assert torch.equal(lists[0], moved[0]) and torch.equal(augment(x, points[..., :2])[1], moved[..., :2])
+    assert augment.visible_points[0].tolist() == [[False, True, False, True]]
+    back = augment.inverse(moved, data_keys=["keypoints"])
+    torch.testing.assert_close(back[..., :2], points[..., :2])
+    maps = A.AugmentationSequential(
+        A.RandomFisheye((0.0, 0.0), (0.0, 0.0), (1.0, 1.0), p=1.0), data_keys=["image", "keypoints"]
+    )
+    assert maps(x, points)[1].shape == points.shape
+
+
 @pytest.mark.tracing
 def test_compiles_with_labels() -> None:
     x, boxes = grid(3, torch.device("cpu")), BOXES.expand(3, 2, 4)

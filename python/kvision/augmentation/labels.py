@@ -46,7 +46,10 @@ def parse_data_keys(op: str, keys: Any) -> list[DataKey]:
 
 
 def move_points(points: Any, move: PointMover, numbers: int = 2) -> Any:
-    """Key points (B, N, 2), (N, 2) or a list of (N, 2), of any floating-point type; those of volumes have 3 numbers."""
+    """Key points (B, N, 2), (N, 2) or a list of (N, 2), of any floating-point type; those of volumes have 3 numbers.
+
+    A further number, which says whether a point is visible, stays.
+    """
     if isinstance(points, (list, tuple)):
         if not points:
             return points
@@ -58,24 +61,41 @@ def move_points(points: Any, move: PointMover, numbers: int = 2) -> Any:
         moved._data = move_points(points._data, move, numbers)
         return moved
     _floating("keypoints", points)
-    if points.shape[-1] != numbers or points.dim() not in (2, 3):
+    if points.dim() not in (2, 3) or points.shape[-1] not in (numbers, numbers + 1):
         raise ShapeError(
-            f"AugmentationSequential: expected keypoints of shape (B, N, {numbers}), got {tuple(points.shape)}"
+            f"AugmentationSequential: expected keypoints of shape (B, N, {numbers}), or (B, N, {numbers + 1}) with visibility, "
+            f"got {tuple(points.shape)}"
         )
     batch = points if points.dim() == 3 else points[None]
-    return _keeping_type(batch, move).reshape(points.shape)
+    if points.shape[-1] == numbers:
+        return _keeping_type(batch, move).reshape(points.shape)
+    moved = _keeping_type(batch[..., :numbers], move)
+    return torch.cat([moved, batch[..., numbers:]], -1).reshape(points.shape)
 
 
-def visible_points(points: Any, are_visible: Callable[[Tensor], Tensor]) -> Any:
+def has_visibility(points: Any, numbers: int) -> bool:
+    """Whether key points have a number behind their coordinates that says whether they are visible."""
+    first = points[0] if isinstance(points, (list, tuple)) and points else points
+    return isinstance(first, Tensor) and first.shape[-1] == numbers + 1
+
+
+def hide_points(points: Any, visible: Any, numbers: int) -> Any:
+    """Key points with visibility, which is 0 where they are not visible."""
+    if isinstance(points, (list, tuple)):
+        return type(points)(hide_points(part, row, numbers) for part, row in zip(points, visible))
+    return torch.cat([points[..., :numbers], torch.where(visible[..., None], points[..., numbers:], 0)], -1)
+
+
+def visible_points(points: Any, are_visible: Callable[[Tensor], Tensor], numbers: int = 2) -> Any:
     """Which points are visible, as a function of points (B, N, 2) tells: bool (B, N), or a list of (N,)."""
     if isinstance(points, (list, tuple)):
         if not points:
             return points
         padded, sizes = pad(points)
-        return type(points)(row[:n] for row, n in zip(visible_points(padded, are_visible), sizes))
+        return type(points)(row[:n] for row, n in zip(visible_points(padded, are_visible, numbers), sizes))
     if hasattr(points, "transform_keypoints"):
-        return visible_points(points._data, are_visible)
-    return are_visible(points if points.dim() == 3 else points[None]).reshape(points.shape[:-1])
+        return visible_points(points._data, are_visible, numbers)
+    return are_visible((points if points.dim() == 3 else points[None])[..., :numbers]).reshape(points.shape[:-1])
 
 
 def move_boxes(boxes: Any, mode: str, move: BoxMover) -> tuple[Any, Tensor | None]:

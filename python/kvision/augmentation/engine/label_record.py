@@ -47,6 +47,8 @@ class LabelRecord:
         for i, key in enumerate(keys):
             if key == DataKey.KEYPOINTS and not self._points.get(i):
                 moved[i] = self._move_points(i, moved[i], Chain(), self.size, self.settings)
+            if key == DataKey.KEYPOINTS and labels.has_visibility(moved[i], self._numbers_of_points):
+                moved[i] = labels.hide_points(moved[i], self._visible(i), self._numbers_of_points)
         self.kept_boxes = [kept[i] for i in sorted(kept)]
         for moves in self._moves.values():
             moves.forget_map()
@@ -54,7 +56,7 @@ class LabelRecord:
 
     def visible_points(self) -> list[Any]:
         """Which points of each input are in the results, and were in all before."""
-        return [_visible(self._points[i]) for i in sorted(self._points)]
+        return [self._visible(i) for i in sorted(self._points)]
 
     # --- through the stages ---
 
@@ -149,6 +151,20 @@ class LabelRecord:
         if count != self.shape[0] and (isinstance(value, Tensor) or count):
             raise ShapeError(f"{_OP}: expected {name} of {self.shape[0]} images, got those of {count}")
 
+    def _visible(self, i: int) -> Any:
+        """Which points of an input are in the results, and were in all before."""
+        visible: Any = None
+        for points, moves, known in self._points[i]:
+            are_visible = moves.are_visible if known is None else _constant(known)
+            own = labels.visible_points(points, are_visible, self._numbers_of_points)
+            if visible is None:
+                visible = own
+            elif isinstance(own, Tensor):
+                visible = visible & own
+            else:
+                visible = type(own)(a & b for a, b in zip(visible, own))
+        return visible
+
     # --- masks ---
 
     def move_masks(self, masks: Any, stages: Chain) -> Any:
@@ -178,19 +194,6 @@ def _parts(stages: Chain, has_boxes: bool) -> Iterator[tuple[Any, Chain]]:
         yield stage, Chain(stages.stages[i + 1 :])
     if together:
         yield Chain(together), Chain()
-
-
-def _visible(parts: Sequence[tuple[Any, LabelMoves, Tensor | None]]) -> Any:
-    visible: Any = None
-    for points, moves, known in parts:
-        own = labels.visible_points(points, moves.are_visible if known is None else _constant(known))
-        if visible is None:
-            visible = own
-        elif isinstance(own, Tensor):
-            visible = visible & own
-        else:
-            visible = type(own)(a & b for a, b in zip(visible, own))
-    return visible
 
 
 def _constant(value: Tensor) -> Any:

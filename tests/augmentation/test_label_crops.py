@@ -137,6 +137,9 @@ STEPS = {
     "behind a module": lambda crop, **o: A.AugmentationSequential(
         A.RandomHorizontalFlip(), torch.nn.Identity(), crop, **o
     ),
+    "of each sample": lambda crop, **o: A.AugmentationSequential(
+        A.RandomHorizontalFlip(), A.RandomOrder(A.RandomVerticalFlip(p=1.0), crop), **o
+    ),
     "in turns": lambda crop, **o: A.AugmentationSequential(
         A.RandomHorizontalFlip(p=1.0), A.ImageSequential(A.RandomVerticalFlip(p=1.0), crop, random_apply=2), **o
     ),

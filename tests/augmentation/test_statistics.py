@@ -624,6 +624,8 @@ def drawn(spec: Spec, p: float) -> tuple[dict[str, Tensor], Tensor]:
 def test_all_classes_that_draw_have_a_spec() -> None:
     fixed = {case.name for case in (*IMAGES, *VOLUMES) if case.fixed}
     fixed |= {"RandomTransplantation", "RandomTransplantation3D"}  # choose among the labels of masks: test_mix.py
+    # Windows that follow from labels or from the size: test_label_crops.py.
+    fixed |= {"AtLeastOneBBoxRandomCrop", "CropNonEmptyMaskIfExists", "RandomSizedBBoxSafeCrop", "RandomZoomOut"}
     classes = {
         name
         for name in A.__all__

@@ -167,7 +167,7 @@ class RANSAC(nn.Module):
         lo_sample_size: no effect, since models are fitted to all correspondences.
         max_samples: total number of hypotheses, instead of `batch_size * max_iter`.
         local_optimization: "lm" or "dlt"; no effect, since there is one method.
-        refine_iters: the most further fits of the best model.
+        refine_iters: the most further fits of the best model, after as many as `max_lo_iters`.
         degensac: False or None; a search outside of dominant planes does not exist.
         compile: no effect.
 
@@ -388,11 +388,11 @@ class RANSAC(nn.Module):
                 models, scores = merged(improved.to(kp1.dtype), kept)
                 num_required = self._required(scores, len(kp1))
                 best = float(scores[0, int(by_count)])
+        if is_readable and num_drawn < self.sample_budget:
+            return models[:1]  # what was found early is found often: one hypothesis stands for all
         if is_readable:
-            # What was found early is found often: one hypothesis stands for all.
-            models = models[: 1 if num_drawn < self.sample_budget else kept].double()
             fit = self._fit(kp1[None], kp2[None], None) if fit is None else fit
-            return best_fits(models[None], fit.errors, fit, self._reach, self.max_lo_iters)[0]
+            return best_fits(models[None].double(), fit.errors, fit, self._reach, self.max_lo_iters)[0].to(kp1.dtype)
         missing = kept - len(models)
         return models if missing <= 0 else torch.cat([models, models.new_full((missing, 3, 3), torch.nan)])
 
@@ -415,7 +415,7 @@ class RANSAC(nn.Module):
         models = models.double()
         if models.shape[1] > 1:
             models = best_fits(models, fit.errors, fit, self._reach, self.max_lo_iters, weights)[0][:, None]
-        return best_fits(models, fit.errors, fit, self._reach, self.refine_iters, weights)
+        return best_fits(models, fit.errors, fit, self._reach, self.max_lo_iters + self.refine_iters, weights)
 
     def _with_gradient(
         self, model: Tensor, errors: Tensor, inliers: Tensor, kp1: Tensor, kp2: Tensor, weights: Tensor | None

@@ -247,6 +247,8 @@ def test_fields_are_the_columns_that_are_drawn() -> None:
         generator: Any = case.make(p=0.7)._param_generator
         if generator is not None and generator.fields:
             drawn = sum(draw.columns for draw in generator.draws((2, 3, 12, 16)))
+            if generator.derives:
+                drawn = generator.derive(torch.zeros(2, drawn), torch.tensor([[12.0, 16.0]]), None).shape[1]
             assert sum(width or 1 for _, width in generator.fields) == drawn, case.name
             named += 1
     assert named > 20

@@ -91,7 +91,7 @@ def pick(is_candidate: Tensor, number: Tensor) -> Tensor:
     """The index (B,) of one of the candidates (B, N) by a random number (B,), all equally likely; N where there is none."""
     before = is_candidate.cumsum(1, dtype=torch.int32)
     rank = (number * before[:, -1]).floor().to(torch.int32) + 1
-    return torch.searchsorted(before, rank[:, None])[:, 0]
+    return torch.searchsorted(before, rank[:, None].contiguous())[:, 0]
 
 
 def up_to(number: Tensor, most: Tensor) -> Tensor:

@@ -28,6 +28,7 @@ from torch._ops import OpOverload
 from torch.autograd import forward_ad
 from torch.compiler import is_compiling
 from torch.utils._python_dispatch import TorchDispatchMode
+from torch.utils._pytree import tree_flatten, tree_unflatten
 
 __all__ = [
     "ConstantModule",
@@ -56,8 +57,11 @@ __all__ = [
     "largest",
     "linspace",
     "refuse_script",
+    "sample_dirichlet",
     "schema_of",
     "smallest",
+    "tree_flatten",
+    "tree_unflatten",
     "unwrap_dead_wrappers",
     "without_transforms",
 ]
@@ -79,6 +83,11 @@ below_autograd = _AutoDispatchBelowAutograd
 
 # `unwrap_dead_wrappers(tensors)`: the tensors without the wrappers of transforms that have returned. Waits for a
 # ctx.saved_tensors of autograd.Function that unwraps them.
+
+# `tree_flatten`, `tree_unflatten`: of nested lists and dicts, as torchvision uses them. Waits for a public torch.utils.pytree.
+
+# `sample_dirichlet(concentrations)`: without torch.distributions, whose import takes longer. Waits for a public function.
+sample_dirichlet = torch._sample_dirichlet
 
 # `TorchDispatchMode`: sees every operator that runs. torch's documentation of extensions describes it, but there is no
 # public module to import it from; waits for torch.utils.python_dispatch.

@@ -7,8 +7,8 @@ from typing import Any
 
 import torch
 from torch import nn
-from torch.utils._pytree import tree_flatten, tree_unflatten
 
+from kvision._torch_compat import tree_flatten, tree_unflatten
 from kvision.tv.transform import Transform, count_samples, draws_once, join, probability, split
 
 

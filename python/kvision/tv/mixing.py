@@ -9,9 +9,9 @@ from typing import Any
 
 import torch
 from torch import Tensor
-from torch.utils._pytree import tree_flatten, tree_unflatten
 
 from kvision import _check
+from kvision._torch_compat import sample_dirichlet, tree_flatten, tree_unflatten
 from kvision.tv import functional as F
 from kvision.tv.functional.values import largest
 from kvision.tv.geometry import Fill, Interpolation
@@ -404,7 +404,7 @@ class AugMix(_Policy):
         weights = (samples, *(1,) * (image.dim() - 1)) if samples > 1 else ()
 
         def dirichlet(count: int) -> Tensor:
-            return torch._sample_dirichlet(torch.full((count,), float(self.alpha)).expand(samples, -1)).to(image.device)
+            return sample_dirichlet(torch.full((count,), float(self.alpha)).expand(samples, -1)).to(image.device)
 
         kept, mixed = dirichlet(2).unbind(1)
         shares = dirichlet(self.mixture_width) * mixed[:, None]

@@ -10,9 +10,9 @@ from typing import Any
 
 import torch
 from torch import nn
-from torch.utils._pytree import tree_flatten, tree_unflatten
 
 from kvision import _check
+from kvision._torch_compat import tree_flatten, tree_unflatten
 from kvision.tv.functional.dispatch import takes
 from kvision.tv.inputs import (
     EVERYTHING,

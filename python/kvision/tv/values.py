@@ -7,9 +7,9 @@ from typing import Any
 
 import torch
 from torch import Tensor
-from torch.utils._pytree import tree_flatten, tree_unflatten
 
 from kvision import _check
+from kvision._torch_compat import tree_flatten, tree_unflatten
 from kvision.tv import functional as F
 from kvision.tv.inputs import PIXELS, TV_TENSORS, kind_of, plain, wrap
 from kvision.tv.transform import Transform

@@ -110,10 +110,22 @@ def test_mixes_are_those_of_v2() -> None:
                 assert not differences(ours, theirs)
 
 
+def test_to_tensor() -> None:
+    """Values of v2's, which warns that it is deprecated."""
+    array = np.arange(24, dtype=np.uint8).reshape(2, 4, 3)
+    image = PIL.Image.fromarray(array)
+    expected = torch.from_numpy(array).permute(2, 0, 1) / 255
+    for source in (array, image):
+        assert torch.equal(tv.ToTensor()(source), expected)
+    assert torch.equal(tv.ToTensor()(array.astype(np.int32)), torch.from_numpy(array).permute(2, 0, 1).int())
+    assert tv.ToTensor()(image.convert("1")).unique().tolist() == [0.0]
+    assert torch.equal(tv.ToTensor()(expected), expected)
+
+
 def test_names_and_arguments_are_those_of_v2() -> None:
     v2 = pytest.importorskip("torchvision.transforms.v2", reason="torchvision is not installed")
     ours = set(tv.__all__) - {"SameOnBatch"}
-    theirs = {n for n in dir(v2) if inspect.isclass(getattr(v2, n))} - {"ToTensor"}
+    theirs = {n for n in dir(v2) if inspect.isclass(getattr(v2, n))}
     assert ours == theirs
     for name in ours - {"InterpolationMode", "AutoAugmentPolicy", "Transform"}:
         mine, other = (inspect.signature(getattr(module, name).__init__).parameters for module in (tv, v2))

@@ -84,6 +84,7 @@ from kvision.tv.values import (
     ToImage,
     ToPILImage,
     ToPureTensor,
+    ToTensor,
     UniformTemporalSubsample,
 )
 
@@ -150,6 +151,7 @@ __all__ = [
     "ToImage",
     "ToPILImage",
     "ToPureTensor",
+    "ToTensor",
     "Transform",
     "TrivialAugmentWide",
     "UniformTemporalSubsample",

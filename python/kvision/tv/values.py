@@ -194,6 +194,28 @@ class PILToTensor(Transform):
         return F.pil_to_tensor(inpt)
 
 
+class ToTensor(Transform):
+    """Make float tensors in [0, 1] of PIL images and arrays of bytes; those of other types keep their values.
+
+    v2 has deprecated it: :class:`ToImage` and :class:`ToDtype` with `scale=True` say the same in two steps.
+
+    Example:
+        >>> import PIL.Image
+        >>> from kvision import tv
+        >>> tv.ToTensor()(PIL.Image.new('L', (3, 1), 51))
+        tensor([[[0.2000, 0.2000, 0.2000]]])
+    """
+
+    kinds = frozenset({"pil", "array"})
+
+    def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
+        x = F.pil_to_tensor(inpt) if kind_of(inpt) == "pil" else plain(F.to_image(inpt))
+        x = x.contiguous()
+        if x.dtype == torch.uint8:
+            return x.to(torch.get_default_dtype()).div(255)
+        return x.to(torch.get_default_dtype()) if x.dtype == torch.bool else x
+
+
 class ToImage(Transform):
     """Make tv_tensors.Image of tensors, arrays and PIL images.
 

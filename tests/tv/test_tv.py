@@ -14,8 +14,7 @@ import torch
 
 from kvision import tv
 from kvision.tv import functional as F
-
-from .comparison import CHAINS, COLORS, HEIGHT, MOVES, WIDTH, differences, photograph, recipes
+from tv_comparison import CHAINS, COLORS, HEIGHT, MOVES, WIDTH, differences, photograph, recipes
 
 
 def samples() -> dict[str, Any]:

@@ -221,11 +221,15 @@ def _numbers(op: str, name: str, value: Any) -> list[float]:
     return numbers
 
 
+def _is_whole(value: Any) -> bool:
+    return isinstance(value, (int, float)) and float(value).is_integer()
+
+
 def parse_integers(op: str, name: str, value: Any, lowest: int | None = None) -> tuple[int, int]:
     """A pair of ints in ascending order, of at least `lowest`."""
     if isinstance(value, Tensor):
         value = value.tolist()
-    if not isinstance(value, (tuple, list)) or len(value) != 2 or any(int(n) != n for n in value):
+    if not isinstance(value, (tuple, list)) or len(value) != 2 or not all(_is_whole(n) for n in value):
         raise TypeCheckError(f"{op}: expected {name} to be a pair of ints, got {value!r}")
     low, high = int(value[0]), int(value[1])
     if low > high or (lowest is not None and low < lowest):

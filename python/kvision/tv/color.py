@@ -133,7 +133,7 @@ class ColorJitter(_Jitter):
         self.hue = _factors("hue", hue, 0.0, -0.5, 0.5)
 
     def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
-        order = torch.randperm(4)
+        order = torch.randperm(4, device="cpu")
         intervals = (self.brightness, self.contrast, self.saturation, self.hue)
         factors = [None if interval is None else uniform(*interval) for interval in intervals]
         return {"fn_idx": order, **dict(zip(self.functionals, factors))}
@@ -176,9 +176,11 @@ class RandomPhotometricDistort(_Jitter):
         intervals = (self.brightness, self.contrast, self.saturation, self.hue)
         params: dict[str, Any] = {}
         for name, interval in zip(self.functionals, intervals):
-            params[name] = uniform(*interval) if torch.rand(1).item() < self.p else None
-        params["contrast_before"] = torch.rand(()).item() < 0.5
-        params["channel_permutation"] = torch.randperm(channels) if torch.rand(1).item() < self.p else None
+            params[name] = uniform(*interval) if torch.rand(1, device="cpu").item() < self.p else None
+        params["contrast_before"] = torch.rand((), device="cpu").item() < 0.5
+        params["channel_permutation"] = (
+            torch.randperm(channels, device="cpu") if torch.rand(1, device="cpu").item() < self.p else None
+        )
         return params
 
     def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
@@ -202,7 +204,7 @@ class RandomChannelPermutation(Transform):
     draws = True
 
     def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
-        return {"permutation": torch.randperm(channels_in(flat_inputs))}
+        return {"permutation": torch.randperm(channels_in(flat_inputs), device="cpu")}
 
     def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
         return self._call_kernel(F.permute_channels, inpt, **params)
@@ -297,7 +299,7 @@ class RandomSolarize(RandomTransform):
 
     def __init__(self, threshold: float, p: float = 0.5) -> None:
         super().__init__(p)
-        self.threshold = threshold
+        self.threshold = _check.number("RandomSolarize", "threshold", threshold)
 
     def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
         return self._call_kernel(F.solarize, inpt, threshold=self.threshold)
@@ -319,7 +321,7 @@ class RandomAdjustSharpness(RandomTransform):
 
     def __init__(self, sharpness_factor: float, p: float = 0.5) -> None:
         super().__init__(p)
-        self.sharpness_factor = sharpness_factor
+        self.sharpness_factor = _check.number("RandomAdjustSharpness", "sharpness_factor", sharpness_factor, 0)
 
     def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
         return self._call_kernel(F.adjust_sharpness, inpt, sharpness_factor=self.sharpness_factor)
@@ -402,7 +404,7 @@ class JPEG(Transform):
             raise ValueError(f"JPEG: expected a quality of 1 to 100, or two of them, got {quality!r}")
 
     def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
-        return {"quality": int(torch.randint(self.quality[0], self.quality[1] + 1, ()))}
+        return {"quality": int(torch.randint(self.quality[0], self.quality[1] + 1, (), device="cpu"))}
 
     def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
         return self._call_kernel(F.jpeg, inpt, **params)
@@ -437,6 +439,8 @@ class RandomErasing(RandomTransform):
         self.scale, self.ratio = (two("RandomErasing", n, v, (2,)) for n, v in (("scale", scale), ("ratio", ratio)))
         if not (0 <= self.scale[0] and self.scale[1] <= 1):
             raise ValueError(f"RandomErasing: expected scale in [0, 1], got {scale}")
+        if not 0 < self.ratio[0] <= self.ratio[1] < float("inf"):
+            raise ValueError(f"RandomErasing: expected ratio above 0, in ascending order, got {ratio}")
         if isinstance(value, str) and value != "random":
             raise ValueError(
                 f"RandomErasing: expected value to be a number, one of each channel or 'random', got {value!r}"
@@ -445,7 +449,7 @@ class RandomErasing(RandomTransform):
         numbers = [value] if isinstance(value, (int, float)) else value
         self.value = None if isinstance(numbers, str) else [float(v) for v in numbers]
         self.inplace = inplace
-        self._log_ratio = torch.log(torch.tensor(self.ratio)).tolist()
+        self._log_ratio = torch.log(torch.tensor(self.ratio, device="cpu")).tolist()
 
     def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
         channels, (height, width) = channels_in(flat_inputs), size_of(flat_inputs)
@@ -455,7 +459,11 @@ class RandomErasing(RandomTransform):
             w, h = drawn_window(height, width, self.scale, self._log_ratio)
             if h < height and w < width:
                 random = self.value is None
-                v = torch.randn(channels, h, w) if random else torch.tensor(self.value)[:, None, None]
+                v = (
+                    torch.randn(channels, h, w, device="cpu")
+                    if random
+                    else torch.tensor(self.value, device="cpu")[:, None, None]
+                )
                 return {"i": integer(0, height - h + 1), "j": integer(0, width - w + 1), "h": h, "w": w, "v": v}
         return {}
 

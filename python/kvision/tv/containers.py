@@ -15,7 +15,7 @@ from kvision.tv.transform import Transform, count_samples, draws_once, join, pro
 class _Container(Transform):
     def __init__(self, transforms: Sequence[Callable[..., Any]] | nn.ModuleList) -> None:
         super().__init__()
-        if not isinstance(transforms, (Sequence, nn.ModuleList)):
+        if not isinstance(transforms, (Sequence, nn.ModuleList)) or isinstance(transforms, (str, bytes)):
             raise TypeError(
                 f"{type(self).__name__}: expected a sequence of transforms, got {type(transforms).__name__}"
             )
@@ -117,7 +117,7 @@ class RandomApply(_Container):
         self.p = probability("RandomApply", p)
 
     def _choose(self, *inputs: Any) -> Any:
-        return apply_all(() if torch.rand(1).item() >= self.p else self.transforms, inputs)
+        return apply_all(() if torch.rand(1, device="cpu").item() >= self.p else self.transforms, inputs)
 
 
 class RandomChoice(_Container):
@@ -142,7 +142,7 @@ class RandomChoice(_Container):
         self.p = [weight / sum(weights) for weight in weights]
 
     def _choose(self, *inputs: Any) -> Any:
-        return self.transforms[int(torch.multinomial(torch.tensor(self.p), 1))](*inputs)
+        return self.transforms[int(torch.multinomial(torch.tensor(self.p, device="cpu"), 1))](*inputs)
 
 
 class RandomOrder(_Container):
@@ -159,5 +159,5 @@ class RandomOrder(_Container):
     """
 
     def _choose(self, *inputs: Any) -> Any:
-        order = torch.randperm(len(self.transforms)).tolist()
+        order = torch.randperm(len(self.transforms), device="cpu").tolist()
         return apply_all([self.transforms[i] for i in order], inputs)

@@ -143,7 +143,7 @@ class ScaleJitter(_Resizing):
 
     def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
         height, width = size_of(flat_inputs)
-        scale = self.scale_range[0] + torch.rand(1) * (self.scale_range[1] - self.scale_range[0])
+        scale = self.scale_range[0] + torch.rand(1, device="cpu") * (self.scale_range[1] - self.scale_range[0])
         r = min(self.target_size[1] / height, self.target_size[0] / width) * scale
         return {"size": (int(height * r), int(width * r))}
 
@@ -179,7 +179,7 @@ class RandomShortestSize(_Resizing):
 
     def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
         height, width = size_of(flat_inputs)
-        r = self.min_size[int(torch.randint(len(self.min_size), ()))] / min(height, width)
+        r = self.min_size[int(torch.randint(len(self.min_size), (), device="cpu"))] / min(height, width)
         if self.max_size is not None:
             r = min(r, self.max_size / max(height, width))
         return {"size": (int(height * r), int(width * r))}
@@ -209,7 +209,7 @@ class RandomResize(_Resizing):
         self.min_size, self.max_size = min_size, max_size
 
     def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
-        return {"size": [int(torch.randint(self.min_size, self.max_size, ()))]}
+        return {"size": [int(torch.randint(self.min_size, self.max_size, (), device="cpu"))]}
 
 
 class CenterCrop(Transform):
@@ -227,7 +227,7 @@ class CenterCrop(Transform):
 
     def __init__(self, size: int | Sequence[int]) -> None:
         super().__init__()
-        self.size = two("CenterCrop", "size", size)
+        self.size = _check.ints("CenterCrop", "size", two("CenterCrop", "size", size), 2, minimum=1)
 
     def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
         return self._call_kernel(F.center_crop, inpt, output_size=self.size)
@@ -236,7 +236,8 @@ class CenterCrop(Transform):
 class _Crops(Transform):
     def __init__(self, size: int | Sequence[int]) -> None:
         super().__init__()
-        self.size = two(type(self).__name__, "size", size)
+        op = type(self).__name__
+        self.size = _check.ints(op, "size", two(op, "size", size), 2, minimum=1)
 
     def check_inputs(self, flat_inputs: list[Any]) -> None:
         if any(kind_of(x) in ("boxes", "mask") for x in flat_inputs):
@@ -285,7 +286,7 @@ class TenCrop(_Crops):
 def drawn_window(height: int, width: int, scale: Any, log_ratio: Any) -> tuple[int, int]:
     """A height and width by a share of the area and an aspect ratio (width / height), both drawn."""
     area = height * width * uniform(scale[0], scale[1])
-    ratio = torch.exp(torch.empty(1).uniform_(log_ratio[0], log_ratio[1])).item()
+    ratio = torch.exp(torch.empty(1, device="cpu").uniform_(log_ratio[0], log_ratio[1])).item()
     return round(math.sqrt(area / ratio)), round(math.sqrt(area * ratio))
 
 
@@ -321,7 +322,7 @@ class RandomResizedCrop(Transform):
         self.size = two("RandomResizedCrop", "size", size)
         self.scale, self.ratio = (two("RandomResizedCrop", n, v, (2,)) for n, v in (("scale", scale), ("ratio", ratio)))
         self.interpolation, self.antialias = interpolation, antialias
-        self._log_ratio = torch.log(torch.tensor(self.ratio)).tolist()
+        self._log_ratio = torch.log(torch.tensor(self.ratio, device="cpu")).tolist()
 
     def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
         height, width = size_of(flat_inputs)
@@ -404,9 +405,9 @@ class RandomZoomOut(RandomTransform):
 
     def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
         height, width = size_of(flat_inputs)
-        r = self.side_range[0] + torch.rand(1) * (self.side_range[1] - self.side_range[0])
+        r = self.side_range[0] + torch.rand(1, device="cpu") * (self.side_range[1] - self.side_range[0])
         right, bottom = int(width * r) - width, int(height * r) - height
-        r = torch.rand(2)
+        r = torch.rand(2, device="cpu")
         left, top = int(right * r[0]), int(bottom * r[1])
         return {"padding": [left, top, right - left, bottom - top]}
 
@@ -457,7 +458,7 @@ class RandomCrop(Transform):
                 raise ValueError(f"RandomCrop: expected images of at least {self.size} with their padding, got {size}")
             top, bottom, left, right = top + missing[0], bottom + missing[0], left + missing[1], right + missing[1]
         over = size[0] + top + bottom - self.size[0], size[1] + left + right - self.size[1]
-        y, x = (int(torch.randint(0, n + 1, ())) if n else 0 for n in over)
+        y, x = (int(torch.randint(0, n + 1, (), device="cpu")) if n else 0 for n in over)
         return {"padding": [left, top, right, bottom], "top": y, "left": x, "crops": any(over)}
 
     def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
@@ -643,7 +644,7 @@ class ElasticTransform(Transform):
         size = size_of(flat_inputs)
         displacements = []
         for alpha, sigma, pixels in zip(self.alpha, self.sigma, size[::-1]):
-            d = torch.rand(1, 1, *size) * 2 - 1
+            d = torch.rand(1, 1, *size, device="cpu") * 2 - 1
             if sigma > 0:
                 window = int(8 * sigma + 1) | 1
                 d = F.gaussian_blur(d, [window, window], [float(s) for s in self.sigma])
@@ -702,11 +703,11 @@ class RandomIoUCrop(Transform):
             if least >= 1:  # leaves the sample as it is
                 return {}
             for _ in range(self.trials):
-                r = self.min_scale + (self.max_scale - self.min_scale) * torch.rand(2)
+                r = self.min_scale + (self.max_scale - self.min_scale) * torch.rand(2, device="cpu")
                 w, h = int(width * r[0]), int(height * r[1])
                 if not self.min_aspect_ratio <= w / h <= self.max_aspect_ratio:
                     continue
-                r = torch.rand(2)
+                r = torch.rand(2, device="cpu")
                 left, top = int((width - w) * r[0]), int((height - h) * r[1])
                 if w == 0 or h == 0:
                     continue

@@ -27,7 +27,9 @@ class _Mix(Transform):
     def __init__(self, *, alpha: float = 1.0, num_classes: int | None = None, labels_getter: Any = "default") -> None:
         super().__init__()
         self.alpha, self.num_classes = float(alpha), num_classes
-        self._beta = torch.distributions.Beta(torch.tensor([self.alpha]), torch.tensor([self.alpha]))
+        self._beta = torch.distributions.Beta(
+            torch.tensor([self.alpha], device="cpu"), torch.tensor([self.alpha], device="cpu")
+        )
         self._labels_getter = labels_getter_of(labels_getter)
 
     def forward(self, *inputs: Any) -> Any:
@@ -150,11 +152,11 @@ _Space = dict[str, tuple[Callable[[int, int, int], Tensor | None], bool]]
 
 
 def _linear(low: float, high: float) -> Callable[[int, int, int], Tensor]:
-    return lambda bins, height, width: torch.linspace(low, high, bins)
+    return lambda bins, height, width: torch.linspace(low, high, bins, device="cpu")
 
 
 def _posterize(most: int, lost: int) -> Callable[[int, int, int], Tensor]:
-    return lambda bins, height, width: (most - torch.arange(bins) / ((bins - 1) / lost)).round().int()
+    return lambda bins, height, width: (most - torch.arange(bins, device="cpu") / ((bins - 1) / lost)).round().int()
 
 
 def _none(bins: int, height: int, width: int) -> None:
@@ -174,7 +176,7 @@ def _space(shear: float, x: Any, y: Any, angle: float, color: float, bits: tuple
 
 
 def _share_of(side: str, share: float) -> Callable[[int, int, int], Tensor]:
-    return lambda bins, height, width: torch.linspace(0, share * (width if side == "x" else height), bins)
+    return lambda bins, height, width: torch.linspace(0, share * (width if side == "x" else height), bins, device="cpu")
 
 
 _ROWS: dict[str, Callable[[float], dict[str, Any]]] = {
@@ -214,11 +216,11 @@ class _Policy(Transform):
         magnitudes = of_bins(bins, *size)
         if magnitudes is None:
             return 0.0
-        number = float(magnitudes[int(torch.randint(bins, ())) if index is None else index])
-        return -number if signed and torch.rand(()).item() <= 0.5 else number
+        number = float(magnitudes[int(torch.randint(bins, (), device="cpu")) if index is None else index])
+        return -number if signed and torch.rand((), device="cpu").item() <= 0.5 else number
 
     def _choose(self, space: _Space) -> str:
-        return tuple(space)[int(torch.randint(len(space), ()))]
+        return tuple(space)[int(torch.randint(len(space), (), device="cpu"))]
 
     def _operate(self, x: Any, name: str, magnitude: float) -> Any:
         fill = fill_of(self.fill, x)
@@ -281,8 +283,8 @@ class AutoAugment(_Policy):
 
     def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
         size = size_of([inpt])
-        for name, p, level in self._entries[int(torch.randint(len(self._entries), ()))]:
-            if torch.rand(()).item() <= p:
+        for name, p, level in self._entries[int(torch.randint(len(self._entries), (), device="cpu"))]:
+            if torch.rand((), device="cpu").item() <= p:
                 inpt = self._operate(inpt, name, self._drawn_magnitude(name, 10, level, size))
         return inpt
 
@@ -404,7 +406,9 @@ class AugMix(_Policy):
         weights = (samples, *(1,) * (image.dim() - 1)) if samples > 1 else ()
 
         def dirichlet(count: int) -> Tensor:
-            return sample_dirichlet(torch.full((count,), float(self.alpha)).expand(samples, -1)).to(image.device)
+            return sample_dirichlet(torch.full((count,), float(self.alpha), device="cpu").expand(samples, -1)).to(
+                image.device
+            )
 
         kept, mixed = dirichlet(2).unbind(1)
         shares = dirichlet(self.mixture_width) * mixed[:, None]
@@ -413,7 +417,7 @@ class AugMix(_Policy):
             chain = image
             for _ in range(self.chain_depth if self.chain_depth > 0 else integer(1, 4)):
                 name = self._choose(space)
-                index = None if space[name][0] is _none else int(torch.randint(self.severity, ()))
+                index = None if space[name][0] is _none else int(torch.randint(self.severity, (), device="cpu"))
                 chain = self._operate(chain, name, self._drawn_magnitude(name, self.bins, index, size_of([image])))
             mix += shares[:, i].reshape(weights) * chain
         mix = mix.to(image.dtype)

@@ -156,13 +156,13 @@ class RandomTransform(Transform):
         self.p = probability(type(self).__name__, p)
 
     def _flat(self, flat: list[Any], needed: list[bool]) -> list[Any]:
-        return flat if torch.rand(1).item() >= self.p else super()._flat(flat, needed)
+        return flat if torch.rand(1, device="cpu").item() >= self.p else super()._flat(flat, needed)
 
     def _each(self, flat: list[Any], needed: list[bool], samples: int) -> list[Any]:
         if type(self).make_params is not Transform.make_params:
             return super()._each(flat, needed, samples)
         # Only p is drawn: the samples that it chooses are transformed in one call.
-        chosen = [i for i in range(samples) if torch.rand(1).item() < self.p]
+        chosen = [i for i in range(samples) if torch.rand(1, device="cpu").item() < self.p]
         return [self._at(x, chosen) if is_needed else x for x, is_needed in zip(flat, needed)] if chosen else flat
 
     def _at(self, x: Any, chosen: list[int]) -> Any:
@@ -182,12 +182,12 @@ def probability(op: str, p: float) -> float:
 
 
 def uniform(low: float, high: float) -> float:
-    return torch.empty(1).uniform_(low, high).item()
+    return torch.empty(1, device="cpu").uniform_(low, high).item()
 
 
 def integer(low: int, high: int) -> int:
     """Of [low, high)."""
-    return int(torch.randint(low, high, (1,)).item())
+    return int(torch.randint(low, high, (1,), device="cpu").item())
 
 
 # --- what a sample holds --------------------------------------------------------------------------------------------

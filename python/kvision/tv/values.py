@@ -114,7 +114,10 @@ class Normalize(Transform):
 
     def __init__(self, mean: Sequence[float], std: Sequence[float], inplace: bool = False) -> None:
         super().__init__()
-        self.mean, self.std, self.inplace = list(mean), list(std), inplace
+        self.mean, self.std = (
+            [_check.number("Normalize", name, x) for x in values] for name, values in (("mean", mean), ("std", std))
+        )
+        self.inplace = inplace
 
     def check_inputs(self, flat_inputs: list[Any]) -> None:
         refuse_pil("Normalize", flat_inputs)

@@ -23,6 +23,9 @@ def torch_meshgrid(tensors: Sequence[Tensor], indexing: Literal["ij", "xy"]) -> 
     Returns:
         One grid for each tensor.
 
+    Raises:
+        ValueError: `indexing` is neither.
+
     Example:
         >>> import torch, kvision as K
         >>> [grid.shape for grid in K.utils.torch_meshgrid([torch.arange(2), torch.arange(3)], "xy")]

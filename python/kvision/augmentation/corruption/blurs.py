@@ -159,7 +159,7 @@ class RingingOvershoot(IntensityAugmentationBase2D, keeps_contract=True):
     Example:
         >>> import torch, kvision as K
         >>> step = (torch.arange(16) > 7).float().expand(1, 1, 16, 16)
-        >>> bool(K.augmentation.RingingOvershoot((7, 7), p=1.0)(step).amax() > 1.05)
+        >>> bool(K.augmentation.RingingOvershoot((7, 7), (1.5, 1.5), p=1.0)(step).amax() > 1.05)
         True
     """
 

@@ -127,16 +127,29 @@ class RandomIoUCrop(WindowCrop):
         **options: Any,
     ) -> None:
         op = "RandomIoUCrop"
+        min_scale, max_scale, min_aspect_ratio, max_aspect_ratio = (
+            _check.number(op, name, value)
+            for name, value in (
+                ("min_scale", min_scale),
+                ("max_scale", max_scale),
+                ("min_aspect_ratio", min_aspect_ratio),
+                ("max_aspect_ratio", max_aspect_ratio),
+            )
+        )
         for name, low, high in (("scale", min_scale, max_scale), ("aspect_ratio", min_aspect_ratio, max_aspect_ratio)):
             if not 0 < low <= high:
                 raise ValueCheckError(f"{op}: expected min_{name} above 0 and up to max_{name}, got {low} and {high}")
         if max_scale > 1:
             raise ValueCheckError(f"{op}: expected max_scale up to 1, got {max_scale}")
-        least = (0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0) if sampler_options is None else tuple(sampler_options)
+        least = (
+            (0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0)
+            if sampler_options is None
+            else tuple(_check.number(op, "sampler_options", x) for x in sampler_options)
+        )
         if not least:
             raise ValueCheckError(f"{op}: expected sampler_options, got none")
         _check.ints(op, "trials", trials, 1)
-        scale, aspect = (float(min_scale), float(max_scale)), (float(min_aspect_ratio), float(max_aspect_ratio))
-        generator = _IoUGenerator(size, scale, aspect, [float(x) for x in least], trials)
+        scale, aspect = (min_scale, max_scale), (min_aspect_ratio, max_aspect_ratio)
+        generator = _IoUGenerator(size, scale, aspect, list(least), trials)
         given = dict(same_on_batch=same_on_batch, keepdim=keepdim, **options)
         super().__init__(generator, p, resample, align_corners, antialias, **given)

@@ -37,6 +37,7 @@ from kvision.augmentation.inputs import (
     image_and_matrix,
     image_of,
     in_type_of,
+    is_image_list,
 )
 from kvision.augmentation.keys import Seed, check_seeds, draw_keys, refuse_capture, refuse_graphs
 from kvision.augmentation.samples import (
@@ -333,7 +334,7 @@ class ImageSequential(ImageSequentialBase):
 
     def transform_tensor(self, input: Tensor) -> Tensor:
         """The input as a batch, lists as they are: (H, W) and (C, H, W) become (1, C, H, W); integers of 16 bits become float32."""
-        if isinstance(input, list) and self.takes_lists:
+        if is_image_list(self, input):
             check_list(type(self).__name__, "input", input)
             check_image(self, input[0])
             if input[0].dtype in WIDE_INTEGERS:

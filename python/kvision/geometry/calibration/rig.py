@@ -290,12 +290,14 @@ def _linked(poses: Tensor) -> tuple[Tensor, Tensor]:
     """
     is_posed = poses.isfinite().flatten(3).all(-1)  # (B, C, V)
     rig = torch.full_like(poses[:, :, 0], torch.nan)
-    rig[:, 0] = torch.eye(4).to(poses)
+    rig[:, 0] = torch.eye(4, device="cpu").to(poses)
     pose = poses[:, 0]
     for _ in range(poses.shape[1]):
         # A view's pose by the first of the cameras that are linked already.
         is_linked = rig.isfinite().flatten(2).all(-1)
-        to_first = torch.linalg.inv_ex(torch.where(is_linked[..., None, None], rig, torch.eye(4).to(rig))).inverse
+        to_first = torch.linalg.inv_ex(
+            torch.where(is_linked[..., None, None], rig, torch.eye(4, device="cpu").to(rig))
+        ).inverse
         usable = is_linked[..., None] & is_posed
         best = usable.long().argmax(1)[:, None, :, None, None].expand(-1, 1, -1, 4, 4)
         pose = (to_first[:, :, None] @ poses).gather(1, best)[:, 0]

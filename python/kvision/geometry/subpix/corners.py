@@ -50,7 +50,7 @@ def refine_corners(
     function theorem; the result does not depend on where the corners start.
 
     Args:
-        image: gray images (B, 1, H, W), floating point or uint8.
+        image: gray images (B, 1, H, W), floating point or bytes.
         corners: (B, N, 2) as (x, y) in pixels, floating point, within a few pixels of where they belong.
         radius: of the window, whose side has 2 radius + 1 pixels; those near its center weigh more.
         max_iterations: of steps; on the CPU they end when all corners have converged.
@@ -72,7 +72,7 @@ def refine_corners(
         >>> import torch, kvision as K
         >>> image = torch.zeros(1, 1, 16, 16)
         >>> image[..., :8, :8] = image[..., 8:, 8:] = 1
-        >>> K.geometry.refine_corners(image, torch.tensor([[[6.0, 9.0]]]), radius=4)
+        >>> K.geometry.refine_corners(image, torch.tensor([[[6.0, 9.0]]]), radius=4).round(decimals=2)
         tensor([[[7.5000, 7.5000]]])
     """
     op = "refine_corners"

@@ -294,8 +294,8 @@ class EquirectangularTransform(_RayTransform):
     Example:
         >>> import torch
         >>> from kvision.sensors.camera import EquirectangularTransform
-        >>> EquirectangularTransform().distort_rays(torch.tensor([100.0, 100, 320, 160]), torch.tensor([1.0, 0.0, 0.0]))
-        (tensor([477.0796, 160.0000]), tensor(True))
+        >>> EquirectangularTransform().distort_rays(torch.tensor([100.0, 100, 320, 160]), torch.tensor([0.0, 0.0, 1.0]))
+        (tensor([320., 160.]), tensor(True))
     """
 
     size = 4

@@ -111,7 +111,9 @@ class EquirectangularModel(_SphericalModel):
                     f"EquirectangularModel: expected image_size to be an ImageSize, got {_check.described(image_size)}"
                 )
             h, w = image_size.height, image_size.width
-            params = torch.tensor([w / math.tau, h / math.pi, (w - 1) / 2, (h - 1) / 2], dtype=torch.float64)
+            params = torch.tensor(
+                [w / math.tau, h / math.pi, (w - 1) / 2, (h - 1) / 2], dtype=torch.float64, device="cpu"
+            )
         super().__init__(EquirectangularTransform(), Z1Projection(), image_size, params)
 
     def project_rays(self, rays: Tensor) -> Tensor:

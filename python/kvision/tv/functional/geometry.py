@@ -379,9 +379,11 @@ def affine(
 
 def _expanded_size(matrix: list[list[float]], height: int, width: int) -> tuple[int, int]:
     """The size that holds an image after a rotation, by its corners in float32 as v2 rounds them."""
-    corners = torch.tensor([[x * width / 2, y * height / 2, 1.0] for x, y in ((-1, -1), (-1, 1), (1, 1), (1, -1))])
-    low, high = (corners @ torch.tensor(matrix).T).aminmax(dim=0)
-    half, tolerance = torch.tensor([width / 2, height / 2]), 1e-4
+    corners = torch.tensor(
+        [[x * width / 2, y * height / 2, 1.0] for x, y in ((-1, -1), (-1, 1), (1, 1), (1, -1))], device="cpu"
+    )
+    low, high = (corners @ torch.tensor(matrix, device="cpu").T).aminmax(dim=0)
+    half, tolerance = torch.tensor([width / 2, height / 2], device="cpu"), 1e-4
     low, high = ((x + half).mul_(1 / tolerance).trunc_().mul_(tolerance) for x in (low, high))
     w, h = high.ceil_().sub_(low.floor_()).tolist()
     return int(h), int(w)
@@ -417,8 +419,8 @@ def perspective_coefficients(
     rows = []
     for (u, v), (x, y) in zip(endpoints, startpoints):
         rows += [[u, v, 1, 0, 0, 0, -x * u, -x * v], [0, 0, 0, u, v, 1, -y * u, -y * v]]
-    points = torch.tensor(startpoints, dtype=torch.float64).reshape(8)
-    solution = torch.linalg.lstsq(torch.tensor(rows, dtype=torch.float64), points, driver="gels").solution
+    points = torch.tensor(startpoints, dtype=torch.float64, device="cpu").reshape(8)
+    solution = torch.linalg.lstsq(torch.tensor(rows, dtype=torch.float64, device="cpu"), points, driver="gels").solution
     return solution.float().tolist()
 
 

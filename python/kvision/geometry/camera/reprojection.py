@@ -145,7 +145,8 @@ def _source_coords(
     image: Tensor, camera_from: RayCamera, camera_to: RayCamera, R: Tensor | None
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Where `camera_from` sees the pixels of `camera_to`, x and y (B or 1, h, w), and which it sees; NaN for others."""
-    h, w, like = camera_to.height, camera_to.width, dict[str, Any](dtype=compute_dtype(image), device=image.device)
+    h, w = camera_to.height, camera_to.width
+    like: dict[str, Any] = {"dtype": compute_dtype(image), "device": image.device}
     columns, rows = torch.arange(w, **like).repeat(h), torch.arange(h, **like).repeat_interleave(w)
     pixels = torch.stack([columns, rows], -1)
     if camera_to.params.dim() == 2:

@@ -222,7 +222,11 @@ def _numbers(op: str, name: str, value: Any) -> list[float]:
 
 
 def _is_whole(value: Any) -> bool:
-    return isinstance(value, (int, float)) and float(value).is_integer()
+    """Whether a number, which may be NumPy's or torch's, is an integer."""
+    try:
+        return not isinstance(value, (str, bytes)) and float(value).is_integer()
+    except (TypeError, ValueError, OverflowError, RuntimeError):
+        return False
 
 
 def parse_integers(op: str, name: str, value: Any, lowest: int | None = None) -> tuple[int, int]:

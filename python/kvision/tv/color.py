@@ -11,7 +11,17 @@ from kvision import _check
 from kvision.tv import functional as F
 from kvision.tv.geometry import drawn_window
 from kvision.tv.inputs import kind_of
-from kvision.tv.transform import RandomTransform, Transform, channels_in, integer, size_of, two, uniform
+from kvision.tv.transform import (
+    RandomTransform,
+    Transform,
+    channels_in,
+    integer,
+    pair,
+    probability,
+    size_of,
+    two,
+    uniform,
+)
 
 
 class Grayscale(Transform):
@@ -169,7 +179,10 @@ class RandomPhotometricDistort(_Jitter):
         p: float = 0.5,
     ) -> None:
         super().__init__()
-        self.brightness, self.contrast, self.saturation, self.hue, self.p = brightness, contrast, saturation, hue, p
+        op = "RandomPhotometricDistort"
+        self.brightness, self.contrast = pair(op, "brightness", brightness), pair(op, "contrast", contrast)
+        self.saturation, self.hue = pair(op, "saturation", saturation), pair(op, "hue", hue)
+        self.p = probability(op, p)
 
     def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
         channels = channels_in(flat_inputs)
@@ -277,7 +290,7 @@ class RandomPosterize(RandomTransform):
 
     def __init__(self, bits: int, p: float = 0.5) -> None:
         super().__init__(p)
-        self.bits = _check.scalar("RandomPosterize", "bits", bits)
+        (self.bits,) = _check.ints("RandomPosterize", "bits", bits, 1, 0, 8)
 
     def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
         return self._call_kernel(F.posterize, inpt, bits=self.bits)

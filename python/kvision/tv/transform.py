@@ -227,6 +227,17 @@ def two(op: str, name: str, value: Any, count: Sequence[int] = (1, 2)) -> tuple[
     return tuple(value) if len(value) > 1 else (value[0], value[0])
 
 
+def pair(op: str, name: str, value: Any) -> tuple[float, float]:
+    """Two numbers in ascending order."""
+    value = _check.scalars(op, name, value)
+    if not isinstance(value, (tuple, list)) or len(value) != 2:
+        raise TypeError(f"{op}: expected {name} to be a pair of numbers, got {value!r}")
+    low, high = (_check.number(op, name, v) for v in value)
+    if not low <= high:
+        raise ValueError(f"{op}: expected {name} in ascending order, got {value!r}")
+    return low, high
+
+
 def interval(op: str, name: str, value: Any, counts: Sequence[int] = (2,)) -> list[float]:
     """A number a as [-a, a], or a sequence."""
     value = _check.scalars(op, name, value)

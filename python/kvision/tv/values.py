@@ -146,6 +146,8 @@ class ToDtype(Transform):
         super().__init__()
         if not isinstance(dtype, (dict, torch.dtype)):
             raise ValueError(f"ToDtype: expected dtype to be a torch.dtype or a dict of them, got {dtype!r}")
+        if dtype == {}:
+            raise ValueError("ToDtype: expected dtype to name a class, got {}")
         self.dtype, self.scale = dtype, scale
 
     def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
@@ -291,7 +293,7 @@ class UniformTemporalSubsample(Transform):
 
     def __init__(self, num_samples: int) -> None:
         super().__init__()
-        self.num_samples = num_samples
+        (self.num_samples,) = _check.ints("UniformTemporalSubsample", "num_samples", num_samples, 1)
 
     def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
         return F.uniform_temporal_subsample(inpt, self.num_samples)

@@ -11,6 +11,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._choices import CroppingMode
 from kvision.augmentation import ranges
+from kvision.augmentation.crops.window_crop import WindowCrop
 from kvision.augmentation.engine import Shape
 from kvision.augmentation.geometric_base import GeometricAugmentationBase2D
 from kvision.augmentation.inputs import parse_size
@@ -136,7 +137,7 @@ class RandomCrop(GeometricAugmentationBase2D):
         return padding_resampling("RandomCrop", flags["padding_mode"], flags["fill"])
 
 
-class RandomResizedCrop(GeometricAugmentationBase2D):
+class RandomResizedCrop(WindowCrop):
     """Cut windows of random area and aspect out of images and resize them.
 
     Args:
@@ -181,34 +182,10 @@ class RandomResizedCrop(GeometricAugmentationBase2D):
         antialias: bool = False,
         **options: Any,
     ) -> None:
-        super().__init__(p=1.0, p_batch=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
-        generator = ResizedCropGenerator(size, scale, ratio)
-        self._param_generator, self.size = generator, generator.output_size
+        given = dict(same_on_batch=same_on_batch, keepdim=keepdim, **options)
+        super().__init__(ResizedCropGenerator(size, scale, ratio), p, resample, align_corners, antialias, **given)
         check_cropping_mode("RandomResizedCrop", cropping_mode)
-        self.flags = {
-            "size": self.size,
-            "resample": Resample.get(resample),
-            "align_corners": align_corners,
-            "cropping_mode": cropping_mode,
-            "padding_mode": "border",
-            "antialias": antialias,
-        }
-        if self.flags["antialias"] and self.flags["resample"] == Resample.NEAREST:
-            raise ValueCheckError("RandomResizedCrop: expected resample 'bilinear' or 'bicubic' with antialias")
-
-    def output_size(self, shape: Shape, flags: dict[str, Any]) -> tuple[int, int]:
-        return self.size
-
-    def transforms(self, shape: Shape, flags: dict[str, Any]) -> Sequence[Transform]:
-        h, w = self.size
-        corners = float(flags["align_corners"] is not False)
-        return [Transform("crop", "window", float(w), float(h), corners)]
-
-    def resampling(self, flags: dict[str, Any]) -> Resampling:
-        read = super().resampling(flags)
-        antialias = bool(flags["antialias"]) and read.mode != "nearest"
-        # Not by `_replace`: torch 2.11 cannot compile a call that leaves its result in an Execution.
-        return Resampling(read.mode, read.padding, read.align_corners, read.fill, antialias)
+        self.flags = {**self.flags, "cropping_mode": cropping_mode}
 
 
 class _CenterGenerator(RandomGeneratorBase):

@@ -8,7 +8,7 @@ from typing import Any
 from kvision import _check
 from kvision.augmentation.engine import Shape
 from kvision.augmentation.geometric_base import GeometricAugmentationBase2D
-from kvision.augmentation.random_generator.windows import WindowGenerator
+from kvision.augmentation.random_generator.crop import WindowGeneratorBase
 from kvision.augmentation.transforms import Transform
 from kvision.augmentation.warp_and_color import Resampling
 from kvision.constants import Resample
@@ -28,7 +28,7 @@ class WindowCrop(GeometricAugmentationBase2D):
 
     def __init__(
         self,
-        windows: WindowGenerator,
+        windows: WindowGeneratorBase,
         p: float,
         resample: Any = Resample.BILINEAR.name,
         align_corners: bool = False,
@@ -38,7 +38,7 @@ class WindowCrop(GeometricAugmentationBase2D):
         has_size = windows.output_size is not None
         super().__init__(p=1.0 if has_size else p, p_batch=p if has_size else 1.0, **options)
         op = type(self).__name__
-        self._param_generator: WindowGenerator = windows
+        self._param_generator: WindowGeneratorBase = windows
         self.size = windows.output_size
         self.flags = {
             "size": self.size,
@@ -55,7 +55,7 @@ class WindowCrop(GeometricAugmentationBase2D):
         return self.size is not None
 
     def output_size(self, shape: Shape, flags: dict[str, Any]) -> tuple[int, int]:
-        return self._param_generator.size_for(shape)
+        return self.size or (shape[-2], shape[-1])
 
     def transforms(self, shape: Shape, flags: dict[str, Any]) -> Sequence[Transform] | None:
         h, w = self.output_size(shape, flags)
@@ -65,4 +65,5 @@ class WindowCrop(GeometricAugmentationBase2D):
     def resampling(self, flags: dict[str, Any]) -> Resampling:
         read = super().resampling(flags)
         antialias = bool(flags["antialias"]) and read.mode != "nearest"
-        return Resampling(read.mode, read.padding, read.align_corners, read.fill, antialias)  # see RandomResizedCrop
+        # Not by `_replace`: torch 2.11 cannot compile a call that leaves its result in an Execution.
+        return Resampling(read.mode, read.padding, read.align_corners, read.fill, antialias)

@@ -130,7 +130,25 @@ class CropGenerator(RandomGeneratorBase):
         return before.to(src) - src[:, 0]
 
 
-class ResizedCropGenerator(RandomGeneratorBase):
+class WindowGeneratorBase(RandomGeneratorBase):
+    """Base of generators of a window of each image that is resized: first column, first row, width, height.
+
+    `output_size` is the height and width of the results, None for those of the images.
+    """
+
+    fields = (("window", 4),)
+    output_size: tuple[int, int] | None
+
+    def to_params(self, columns: Tensor, shape: Shape) -> dict[str, Tensor]:
+        x, y, w, h = columns.unbind(1)
+        return box_params(x, y, w, h, tuple(shape), self.output_size or (shape[-2], shape[-1]))
+
+    def to_columns(self, params: dict[str, Any], shape: Shape) -> Tensor:
+        src = params["src"]
+        return torch.cat([src[:, 0], src[:, 2] - src[:, 0] + 1], 1)
+
+
+class ResizedCropGenerator(WindowGeneratorBase):
     """Draws the parameters of :class:`RandomResizedCrop`.
 
     Args:
@@ -155,7 +173,7 @@ class ResizedCropGenerator(RandomGeneratorBase):
                 [0., 3.]])
     """
 
-    fields = (("window", 4),)  # first column, first row, width, height
+    output_size: tuple[int, int]
 
     def __init__(self, output_size: Any, scale: Numbers = (0.08, 1.0), ratio: Numbers = (3.0 / 4.0, 4.0 / 3.0)) -> None:
         super().__init__()
@@ -170,14 +188,6 @@ class ResizedCropGenerator(RandomGeneratorBase):
         height, width = shape[-2:]
         logs = math.log(self.ratio.low), math.log(self.ratio.high)
         return [Draw("resized_crop", (self.scale.low, self.scale.high, *logs, height, width))]
-
-    def to_params(self, columns: Tensor, shape: Shape) -> dict[str, Tensor]:
-        x, y, w, h = columns.unbind(1)
-        return box_params(x, y, w, h, shape, self.output_size)
-
-    def to_columns(self, params: dict[str, Any], shape: Shape) -> Tensor:
-        src = params["src"]
-        return torch.cat([src[:, 0], src[:, 2] - src[:, 0] + 1], 1)
 
 
 class ResizeGenerator(RandomGeneratorBase):

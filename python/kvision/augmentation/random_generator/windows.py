@@ -10,14 +10,14 @@ from torch import Tensor
 
 from kvision.augmentation.draws import Draw, integer, mixed_words, unit
 from kvision.augmentation.inputs import parse_size
-from kvision.augmentation.random_generator.base import RandomGeneratorBase, Shape
-from kvision.augmentation.random_generator.crop import box_params
+from kvision.augmentation.random_generator.base import Shape
+from kvision.augmentation.random_generator.crop import WindowGeneratorBase
 from kvision.core.exceptions import ValueCheckError
 
 _STEP = 0x9E3779B9  # 2^32 over the golden ratio
 
 
-class WindowGenerator(RandomGeneratorBase):
+class WindowGenerator(WindowGeneratorBase):
     """Base of generators that draw a window of each image: a function of random numbers, sizes and labels.
 
     Two words of each sample are drawn, and as many random numbers follow from them as a subclass needs.
@@ -27,7 +27,6 @@ class WindowGenerator(RandomGeneratorBase):
         size: height and width of the results; None for those of the images.
     """
 
-    fields = (("window", 4),)
     derives = True
     must_fit = False  # windows have the size of the results
     count = 4  # of random numbers
@@ -47,10 +46,6 @@ class WindowGenerator(RandomGeneratorBase):
         """
         raise NotImplementedError(f"{type(self).__name__}.windows")
 
-    def size_for(self, shape: Shape) -> tuple[int, int]:
-        """Height and width of the results for images of a shape."""
-        return self.output_size or (shape[-2], shape[-1])
-
     def draws(self, shape: Shape) -> Sequence[Draw]:
         if self.must_fit and self.output_size is not None:
             height, width = self.output_size
@@ -68,14 +63,6 @@ class WindowGenerator(RandomGeneratorBase):
         height, width = sizes.unbind(1)
         zero = torch.zeros_like(width)
         return torch.stack([zero, zero, width, height], 1)
-
-    def to_params(self, columns: Tensor, shape: Shape) -> dict[str, Tensor]:
-        x, y, w, h = columns.unbind(1)
-        return box_params(x, y, w, h, tuple(shape), self.size_for(shape))
-
-    def to_columns(self, params: dict[str, Any], shape: Shape) -> Tensor:
-        src = params["src"]
-        return torch.cat([src[:, 0], src[:, 2] - src[:, 0] + 1], 1)
 
 
 def random_numbers(words: Tensor, count: int) -> Tensor:

@@ -13,6 +13,14 @@ __global__ void __launch_bounds__(kDrawThreads) draw_all(__grid_constant__ DrawP
   if (b < p.batch) draw_sample(p, p.draws[blockIdx.y], b);
 }
 
+static_assert(sizeof(DrawListParameters<float>) <= 32764, "more than a kernel's parameters");
+
+template <class T>
+__global__ void __launch_bounds__(kDrawThreads) draw_listed(__grid_constant__ DrawListParameters<T> const p) {
+  int const i = blockIdx.x * kDrawThreads + threadIdx.x;
+  if (i < p.count) draw_sample(p, p.all.draws[blockIdx.y], i);
+}
+
 }  // namespace
 
 template <class T>
@@ -22,6 +30,14 @@ int draw_parameters(DrawParameters<T> const& p, CUstream_st* stream) {
   return cudaGetLastError();
 }
 
+template <class T>
+int draw_list_parameters(DrawListParameters<T> const& p, CUstream_st* stream) {
+  dim3 const blocks(unsigned(ceil_div(p.count, kDrawThreads)), unsigned(p.all.count));
+  draw_listed<<<blocks, kDrawThreads, 0, stream>>>(p);
+  return cudaGetLastError();
+}
+
 KV_INSTANTIATE_ONE(draw_parameters, DrawParameters, float)
+KV_INSTANTIATE_ONE(draw_list_parameters, DrawListParameters, float)
 
 }  // namespace kv::augmentation::cuda

@@ -1,6 +1,5 @@
 // Random parameters of augmentations as pure functions of a key, a sample and a draw; draws.py of kvision.augmentation
 // defines them. The kinds but beta and normal give the same bits on every device and instruction set.
-// Included by draws_cpu.cpp, draws.cu and draws_op.cpp.
 #pragma once
 
 #include "core/isa.h"
@@ -30,6 +29,7 @@ constexpr int kDrawNumbers[kDrawKinds] = {0, 3, 4, 3, 3, 6, 6, 3, 3, 5, 3};
 constexpr int kDrawColumns[kDrawKinds] = {1, 1, 1, 1, 0, 4, 4, 1, 1, 2, 1};
 
 constexpr int kMaxDraws = 64, kMaxDrawNumbers = 256;  // of a launch, whose parameters take less than 4 KB
+constexpr int kMaxListedNumbers = 3584;  // of all samples of a launch, whose parameters take 32,764 bytes at most
 
 // The draw that decides about p, and the sample that decides about p_batch.
 constexpr uint32_t kChosenDraw = 0, kBatchSample = 0xFFFFFFFF;
@@ -77,7 +77,17 @@ struct DrawParameters {
   }
 };
 
+// Draws with other numbers for each sample, as those for images of different sizes: of samples from `begin` on.
+template <class T>
+struct DrawListParameters {
+  DrawParameters<T> all;  // but for the numbers
+  int64_t begin;
+  int count, width;  // samples, and numbers of each
+  double listed[kMaxListedNumbers];
+};
+
 KV_KERNEL(draw_parameters, DrawParameters)
+KV_KERNEL(draw_list_parameters, DrawListParameters)
 
 // --- the kinds -------------------------------------------------------------------------------------------------------
 
@@ -179,11 +189,12 @@ KV_HD double log_gamma_variate(DrawSource const& source, uint32_t index, uint32_
 
 // --- one draw of one sample ------------------------------------------------------------------------------------------
 
+// `numbers` are those of all draws.
 template <class T>
-KV_HD void draw_sample(DrawParameters<T> const& p, Draw const& d, int64_t b) {
+KV_HD void draw_sample(DrawParameters<T> const& p, double const* numbers, Draw const& d, int64_t b) {
   DrawSource const source = p.source(d, b);
   T* const result = p.result + b * p.columns + d.column;
-  double const *const n = p.numbers + d.number, *const probability = p.numbers + d.probability;
+  double const *const n = numbers + d.number, *const probability = numbers + d.probability;
   bool const chosen = source.is_chosen(probability[0], probability[1]);
   switch (d.kind) {
     case DrawKind::chosen:
@@ -237,6 +248,16 @@ KV_HD void draw_sample(DrawParameters<T> const& p, Draw const& d, int64_t b) {
       result[0] = T(chosen ? uniform_of(p.source_of_sample(d, b).words(d.index).w[0], n[0], n[1]) : n[2]);
       break;
   }
+}
+
+template <class T>
+KV_HD void draw_sample(DrawParameters<T> const& p, Draw const& d, int64_t b) {
+  draw_sample(p, p.numbers, d, b);
+}
+// Sample i of those that have numbers.
+template <class T>
+KV_HD void draw_sample(DrawListParameters<T> const& p, Draw const& d, int64_t i) {
+  draw_sample(p.all, p.listed + i * p.width, d, p.begin + i);
 }
 
 }  // namespace kv::augmentation

@@ -15,6 +15,7 @@ from kvision.augmentation.draws import (
     MAX_NUMBERS,
     Draw,
     Request,
+    draw_list_parameters,
     draw_parameters,
     integer,
     is_chosen_batch,
@@ -67,6 +68,36 @@ class TestDrawParameters(PointOpTests):
             Call((vector(2, 3), KEYS[:1], lambda: torch.randint(-(2**63), 2**63 - 1, ())), seeded[:2], **common),
         ]
     }
+
+
+@pytest.mark.parametrize("seeds", [None, "seeds"])
+def test_numbers_of_each_sample(device, backend, seeds):
+    """Each row is that of a batch whose images are all of this size. 600 samples take two launches of the kernel."""
+    batch = 12 if backend == "reference" else 600
+    sizes = [(40 + b % 3, 300 - b % 4) for b in range(batch)]
+    seeds = None if seeds is None else torch.arange(batch, device=device) * 7919 - 5
+    plans = {}
+    for size in set(sizes):
+        crops = [Draw(draw.kind, (*draw.numbers[:4], *size)) for draw in (CROP, RECTANGLE)]
+        plans[size] = make_plan([Request([uniform(0, 1), *crops, integer(0, size[0])], 0.9)], seeds is not None)
+    numbers = [n for size in sizes for n in plans[size].numbers]
+    x, plan = images(batch, device), plans[sizes[0]].plan
+    result = draw_list_parameters(x, KEYS[:1], seeds, plan, numbers)
+    for size, of_size in plans.items():
+        of_this = torch.tensor([s == size for s in sizes], device=device)
+        expected = draw_parameters(x, KEYS[:1], seeds, of_size.plan, of_size.numbers)
+        assert torch.equal(result[of_this], expected[of_this])
+    assert draw_list_parameters(x[:0], KEYS[:1], None, plan, []).shape == (0, plan[0])
+
+
+def test_bad_numbers_of_samples(device, backend):
+    if backend == "reference":
+        pytest.skip("plans are made by the library; the kernel reads them")
+    plan = make_plan([Request([Draw("permutation", (3, 0, 1))])])
+    with pytest.raises(RuntimeError, match="expected as many numbers for each of 2 images, got 9"):
+        draw_list_parameters(images(2, device), KEYS[:1], None, plan.plan, [*plan.numbers, *plan.numbers[:4]])
+    with pytest.raises(RuntimeError, match="expected permutations of 3 entries, got 4"):
+        draw_list_parameters(images(2, device), KEYS[:1], None, plan.plan, [*plan.numbers, 1, 1, 4, 0, 1])
 
 
 # --- what the parameters depend on ---

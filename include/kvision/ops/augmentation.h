@@ -44,6 +44,9 @@ inline constexpr Operator<"draw_warp_and_color",
 inline constexpr Operator<"draw_parameters",
                           Tensor(Tensor images, Tensor keys, OptionalTensor seeds, Ints plan, Floats numbers)>
     draw_parameters{non_differentiable};
+inline constexpr Operator<"draw_list_parameters",
+                          Tensor(Tensor images, Tensor keys, OptionalTensor seeds, Ints plan, Floats numbers)>
+    draw_list_parameters{non_differentiable};
 
 // --- augmentation/elastic_op.cpp
 

@@ -51,6 +51,7 @@ KINDS = {
     "uniform_of_sample": Kind(10, 3, 1),  # uniform, and another one for each sample also under same_on_batch
 }
 _NAMES = tuple(KINDS)
+SIZED = ("resized_crop", "rectangle")  # the last two of their numbers are the size of the image
 CHOSEN, BATCH_SAMPLE = 0, 0xFFFFFFFF  # the draw that decides about p; the sample that decides about p_batch
 TRIES = 10  # for a crop that lies in the image
 GAMMA_TRIES = 8  # each is accepted with a probability above .95
@@ -370,12 +371,23 @@ _VALUES: dict[str, Callable[[_Words, Sequence[float]], _Columns]] = {
     "uniform_of_sample": _uniform,
 }
 
-draw_parameters = register(
-    "draw_parameters",
-    _reference,
-    fake=lambda images, keys, seeds, plan, numbers: images.new_empty(images.shape[0], plan[0], dtype=torch.float32),
-    non_differentiable=(0,),
-    bytes=True,
-    casts_outputs=True,
-    flatten=flatten_draws(keys=1),
-)
+
+def _list_reference(
+    images: Tensor, keys: Tensor, seeds: Tensor | None, plan: Sequence[int], numbers: Sequence[float]
+) -> Tensor:
+    batch = images.shape[0]
+    width = len(numbers) // max(batch, 1)
+    each = [numbers[b * width : (b + 1) * width] for b in range(batch)]
+    rows = [_reference(images, keys, seeds, plan, own)[b] for b, own in enumerate(each)]
+    return torch.stack(rows) if rows else images.new_empty(0, plan[0], dtype=torch.float32)
+
+
+_OPTIONS: dict[str, Any] = {
+    "fake": lambda images, keys, seeds, plan, numbers: images.new_empty(images.shape[0], plan[0], dtype=torch.float32),
+    "non_differentiable": (0,),
+    "bytes": True,
+    "casts_outputs": True,
+}
+draw_parameters = register("draw_parameters", _reference, flatten=flatten_draws(keys=1), **_OPTIONS)
+# With other numbers for each image: those of the first one, of the second, ...
+draw_list_parameters = register("draw_list_parameters", _list_reference, **_OPTIONS)

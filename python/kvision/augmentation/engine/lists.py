@@ -1,12 +1,12 @@
 """Containers on lists of images: the first augmentation gives all results one size, and what follows runs on a batch.
 
-A parameter of an augmentation is drawn for the size of its image. So a launch has a request for each image, of which every
-sample reads its own; equal sizes draw what a batch draws.
+A parameter of an augmentation is drawn for the size of its image: a launch has numbers of its own for each image. Equal sizes
+draw what a batch draws.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -16,7 +16,7 @@ from torch import Tensor
 from kvision._dtype import compute_dtype
 from kvision.augmentation import labels
 from kvision.augmentation.columns import Columns, Span, split_inputs
-from kvision.augmentation.draws import KINDS, MAX_DRAWS, MAX_NUMBERS, Request, draw_parameters
+from kvision.augmentation.draws import KINDS, SIZED, Request, draw_list_parameters, draw_parameters
 from kvision.augmentation.engine.call_labels import CallLabels
 from kvision.augmentation.engine.execution import Execution, matrix_type
 from kvision.augmentation.engine.record import Child
@@ -35,6 +35,10 @@ class ListPlan(NamedTuple):
     """What an augmentation does to images of any sizes, of which all results have one."""
 
     size: tuple[int, int]  # of the results
+    numbers: (
+        list[float] | None
+    )  # of all draws, but for the sizes in those of SIZED; None if others depend on the size, too
+    sizes_at: list[int]  # where the heights are among the numbers, before the widths
     chain: Sequence[Transform] | None  # of the matrix; None if it depends on the size
 
 
@@ -58,7 +62,29 @@ def _list_plan(module: Any) -> ListPlan | None:
         return None
     chains = [module.matrix_transforms(shape, flags) for shape in shapes]
     formulas = [[(transform.kind, transform.inputs) for transform in chain] for chain in chains]
-    return ListPlan((int(first[0]), int(first[1])), chains[0] if formulas[0] == formulas[1] else None)
+    rows, sizes_at = [_numbers(module._request(shape)) for shape in shapes], []
+    for at, draw in _numbered(module._request(shapes[0])):
+        if draw.kind in SIZED:
+            sizes_at.append(at + len(draw.numbers) - 2)
+    for row in rows:
+        for at in sizes_at:
+            row[at : at + 2] = rows[0][at : at + 2]
+    numbers = rows[0] if rows[0] == rows[1] else None
+    return ListPlan(
+        (int(first[0]), int(first[1])), numbers, sizes_at, chains[0] if formulas[0] == formulas[1] else None
+    )
+
+
+def _numbered(request: Request | None) -> Iterator[tuple[int, Any]]:
+    """The draws of a request, each with the position of its numbers."""
+    at = 2
+    for draw in request.draws if request else ():
+        yield at, draw
+        at += len(draw.numbers)
+
+
+def _numbers(request: Request | None) -> list[float]:
+    return [] if request is None else [request.p, request.p_batch, *(n for draw in request.draws for n in draw.numbers)]
 
 
 def check_start(op: str, children: Sequence[Child], once: bool) -> Any:
@@ -163,7 +189,7 @@ def execute_list(
     if child.params is not None and generator is not None:
         values = generator.to_columns(child.params, shapes[0]).to(like.device)
     elif keys is not None:
-        values = _draw(like, [module._request(shape) for shape in shapes], keys, position)
+        values = _draw(like, module, own, shapes, keys, position)
         if module._derives:
             values = _derived(module, values, images, call_labels)
     if values.shape[1]:
@@ -180,25 +206,29 @@ def execute_list(
     return batch, ListWarp(matrix, sides, list(own.size), module.resampling(flags))
 
 
-def _draw(like: Tensor, requests: Sequence[Request], keys: Keys, position: int) -> Tensor:
-    """The columns (B, P) of requests of one augmentation, one for each sample."""
-    numbers = [[r.p, r.p_batch, *(n for draw in r.draws for n in draw.numbers)] for r in requests]
-    own, seeds, first = keys.keys, keys.seeds_on(like.device), requests[0]
-    width = sum(draw.columns for draw in first.draws)
-    head = (0, position if keys.has_seed else 0, int(first.same_on_batch), 1, len(first.draws))
-    kinds = [KINDS[draw.kind].number for draw in first.draws]
-    if all(n == numbers[0] for n in numbers):
-        return draw_parameters(like, own, seeds, [width, *head, *kinds], numbers[0])
-    each = max(1, min(MAX_DRAWS // len(first.draws), MAX_NUMBERS // len(numbers[0])))
-    rows = []
-    for begin in range(0, len(requests), each):
-        part = numbers[begin : begin + each]
-        plan = [width * len(part), *[*head, *kinds] * len(part)]
-        drawn = draw_parameters(like, own, seeds, plan, [n for row in part for n in row]).unflatten(
-            1, (len(part), width)
-        )
-        rows.append(drawn[begin : begin + each].diagonal(dim1=0, dim2=1).T)
-    return torch.cat(rows)
+def _draw(
+    like: Tensor, module: Any, own: ListPlan, shapes: Sequence[Sequence[int]], keys: Keys, position: int
+) -> Tensor:
+    """The columns (B, P) of one augmentation, for the size of each image."""
+    request = module._request(shapes[0])
+    width = sum(draw.columns for draw in request.draws)
+    head = (0, position if keys.has_seed else 0, int(request.same_on_batch), 1, len(request.draws))
+    plan = [width, *head, *(KINDS[draw.kind].number for draw in request.draws)]
+    seeds = keys.seeds_on(like.device)
+    if own.numbers is not None and not own.sizes_at:
+        drawn: Tensor = draw_parameters(like, keys.keys, seeds, plan, own.numbers)
+        return drawn
+    numbers: list[float] = []
+    for shape in shapes:
+        if own.numbers is None:
+            numbers += _numbers(module._request(shape))
+            continue
+        first = len(numbers)
+        numbers += own.numbers
+        for at in own.sizes_at:
+            numbers[first + at : first + at + 2] = shape[2:]
+    drawn = draw_list_parameters(like, keys.keys, seeds, plan, numbers)
+    return drawn
 
 
 def _derived(module: Any, drawn: Tensor, images: Sequence[Tensor], call_labels: CallLabels | None) -> Tensor:

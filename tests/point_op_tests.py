@@ -10,7 +10,7 @@ separate calls, because gradients use them. `operators` lists them for the check
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import pytest
@@ -36,7 +36,9 @@ SINGLE_AND_DOUBLE = (torch.float32, torch.float64)
 
 class Call(NamedTuple):
     inputs: tuple[Callable[[], Tensor] | Tensor | None, ...]  # creates a sample's row; a tensor is shared; None
-    options: tuple[Any, ...] = ()
+    options: (
+        tuple[Any, ...] | Callable[[int], tuple[Any, ...]]
+    ) = ()  # a function of the batch size where they depend on it
     broadcasts: bool = True  # whether an input of one row serves all samples
     per_sample: bool = True  # whether a sample's result depends on its own rows alone
     differentiable: bool = True
@@ -89,15 +91,19 @@ class PointOpTests:
         """The inputs that have a row for every sample."""
         return [i for i, f in enumerate(call.inputs) if callable(f)]
 
+    def options(self, call: Call, args: Sequence[Tensor | None]) -> tuple[Any, ...]:
+        return call.options(len(args[self.batched(call)[0]])) if callable(call.options) else call.options
+
     def of_tensors(self, name: str, call: Call, args: list[Tensor | None]) -> Callable[..., tuple[Tensor, ...]]:
         """The operator as a function of its floating-point tensors, to the results that are unique."""
         where = [i for i, x in enumerate(args) if x is not None and x.is_floating_point()]
+        options = self.options(call, args)
 
         def f(*values: Tensor) -> tuple[Tensor, ...]:
             full = list(args)
             for i, value in zip(where, values):
                 full[i] = value
-            return as_tuple(call.compared(*as_tuple(_ops.operators[name](*full, *call.options))))
+            return as_tuple(call.compared(*as_tuple(_ops.operators[name](*full, *options))))
 
         return f
 
@@ -220,8 +226,10 @@ class PointOpTests:
         axes = tuple(0 if i in self.batched(call) else None for i in range(len(call.inputs)))
         stacked = [torch.stack(x) if axis == 0 else x[0] for x, axis in zip(zip(*args), axes)]
 
+        options = self.options(call, args[0])
+
         def f(*values: Tensor) -> tuple[Tensor, ...]:
-            return as_tuple(call.compared(*as_tuple(_ops.operators[name](*values, *call.options))))
+            return as_tuple(call.compared(*as_tuple(_ops.operators[name](*values, *options))))
 
         mapped = torch.func.vmap(f, axes)(*stacked)
         self.check(call, list(mapped), [torch.stack(y) for y in zip(*(f(*x) for x in args))])

@@ -9,9 +9,11 @@
 
 namespace kv::augmentation {
 
-// The parameters of the kernel for a plan that make_plan in draws.py has written; `result` is not set.
+// The parameters of the kernel for a plan that make_plan in draws.py has written; `result` is not set. Errors name
+// `op`.
 DrawParameters<float> draws_of(Tensor const& images, Tensor const& keys, std::optional<Tensor> const& seeds,
-                               std::span<int64_t const> plan, std::span<double const> numbers);
+                               std::span<int64_t const> plan, std::span<double const> numbers,
+                               char const* op = "draw_parameters");
 
 // Allocates the result (B, columns) of the draws, and sets it in `p`.
 inline Tensor columns_for(DrawParameters<float>& p, Tensor const& images) {

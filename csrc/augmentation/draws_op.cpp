@@ -4,39 +4,37 @@
 namespace kv::augmentation {
 namespace {
 
-constexpr char const* kDrawOperator = "draw_parameters";
-
-int64_t number_from(std::span<int64_t const> plan, size_t i, int64_t lowest, int64_t highest, char const* name) {
-  KV_CHECK(i < plan.size(), kDrawOperator, ": the plan ends within a request");
-  KV_CHECK(plan[i] >= lowest && plan[i] <= highest, kDrawOperator, ": expected ", name, " from ", lowest, " to ",
-           highest, ", got ", plan[i]);
+int64_t number_from(char const* op, std::span<int64_t const> plan, size_t i, int64_t lowest, int64_t highest,
+                    char const* name) {
+  KV_CHECK(i < plan.size(), op, ": the plan ends within a request");
+  KV_CHECK(plan[i] >= lowest && plan[i] <= highest, op, ": expected ", name, " from ", lowest, " to ", highest,
+           ", got ", plan[i]);
   return plan[i];
 }
 
 // Reads the plan, as make_plan in draws.py writes it: the number of columns, then for each request its key, position in
 // the chain, same_on_batch, the index of its first draw, their number, and their kinds. The numbers of a request are p,
 // p_batch and those of its draws.
-void read_plan(std::span<int64_t const> plan, std::span<double const> numbers, Tensor const& keys, bool has_seeds,
-               DrawParameters<float>& p) {
-  constexpr char const* op = kDrawOperator;
+void read_plan(char const* op, std::span<int64_t const> plan, std::span<double const> numbers, Tensor const& keys,
+               bool has_seeds, DrawParameters<float>& p) {
   KV_CHECK(numbers.size() <= kMaxDrawNumbers, op, ": expected at most ", kMaxDrawNumbers, " numbers, got ",
            numbers.size());
-  p.columns = int(number_from(plan, 0, 0, UINT16_MAX, "columns"));
+  p.columns = int(number_from(op, plan, 0, 0, UINT16_MAX, "columns"));
   int64_t const num_keys = has_seeds ? 1 : keys.size(0);
   int64_t const* const host_keys = has_seeds || p.keys ? nullptr : data_ptr<int64_t const>(keys);
   size_t number = 0;
   int column = 0;
   for (size_t at = 1; at < plan.size();) {
-    int64_t const key = number_from(plan, at, 0, has_seeds ? INT64_MAX : num_keys - 1, "a key"),
-                  position = number_from(plan, at + 1, 0, UINT32_MAX, "a position"),
-                  same = number_from(plan, at + 2, 0, 1, "same_on_batch"),
-                  first = number_from(plan, at + 3, 1, UINT16_MAX - kMaxDraws, "the index of a draw"),
-                  count = number_from(plan, at + 4, 0, kMaxDraws - p.count, "the number of draws");
+    int64_t const key = number_from(op, plan, at, 0, has_seeds ? INT64_MAX : num_keys - 1, "a key"),
+                  position = number_from(op, plan, at + 1, 0, UINT32_MAX, "a position"),
+                  same = number_from(op, plan, at + 2, 0, 1, "same_on_batch"),
+                  first = number_from(op, plan, at + 3, 1, UINT16_MAX - kMaxDraws, "the index of a draw"),
+                  count = number_from(op, plan, at + 4, 0, kMaxDraws - p.count, "the number of draws");
     uint16_t const probability = uint16_t(number);
     number += 2;
     at += 5;
     for (int64_t i = 0; i < count; ++i, ++at) {
-      int64_t const kind = number_from(plan, at, 0, kDrawKinds - 1, "a kind of draw");
+      int64_t const kind = number_from(op, plan, at, 0, kDrawKinds - 1, "a kind of draw");
       size_t const next = number + size_t(kDrawNumbers[kind]);
       KV_CHECK(next <= numbers.size(), op, ": expected more numbers than ", numbers.size());
       int columns = kDrawColumns[kind];
@@ -68,8 +66,7 @@ void read_plan(std::span<int64_t const> plan, std::span<double const> numbers, T
 // Of the images only the device and the size of the batch count. Keys (K,) on the CPU are read here, on the stream of
 // no device; those on the device of the images by the kernel, for replays of CUDA graphs.
 DrawParameters<float> draws_of(Tensor const& images, Tensor const& keys, std::optional<Tensor> const& seeds,
-                               std::span<int64_t const> plan, std::span<double const> numbers) {
-  constexpr char const* op = kDrawOperator;
+                               std::span<int64_t const> plan, std::span<double const> numbers, char const* op) {
   KV_CHECK(images.dim() > 0, op, ": expected images of shape (B, ...)");
   int64_t const batch = images.size(0);
   KV_CHECK(keys.dim() == 1 && keys.scalar_type() == ScalarType::Long, op, ": expected int64 keys of shape (K,)");
@@ -86,7 +83,7 @@ DrawParameters<float> draws_of(Tensor const& images, Tensor const& keys, std::op
   params.seeds = seeds ? data_ptr<int64_t const>(*seeds) : nullptr;
   params.seed_stride = seeds && seeds->size(0) > 1 ? seeds->stride(0) : 0;
   params.count = 0;
-  read_plan(plan, numbers, keys, seeds.has_value(), params);
+  read_plan(op, plan, numbers, keys, seeds.has_value(), params);
   return params;
 }
 
@@ -109,7 +106,7 @@ Tensor draw_list_parameters(Tensor const& images, Tensor const& keys, std::optio
            numbers.size(), " in all");
   if (!batch && !plan.empty()) return empty({0, plan[0]}, images, Layout::planar, ScalarType::Float);
   DrawListParameters<float> params;
-  params.all = draws_of(images, keys, seeds, plan, std::span(numbers).first(width));
+  params.all = draws_of(images, keys, seeds, plan, std::span(numbers).first(width), op);
   for (int i = 0; i < params.all.count; ++i) {
     size_t const number = params.all.draws[i].number;
     for (size_t b = 0; params.all.draws[i].kind == DrawKind::permutation && b < batch; ++b)

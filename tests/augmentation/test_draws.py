@@ -57,6 +57,10 @@ def drawn(requests: list[Request], batch: int, device: torch.device, keys: Tenso
     return draw_parameters(images(batch, device), keys, seeds, plan.plan, plan.numbers)
 
 
+def _of_each(plan: list[int], numbers: list[float]):
+    return lambda batch: (plan, [*numbers] * batch)
+
+
 class TestDrawParameters(PointOpTests):
     exact, rounded, seeded = make_plan(EXACT), make_plan(ROUNDED), make_plan(EXACT, True, 3)
     accepted = ("images of", "keys of torch.int64", "keys of another batch", "seeds of torch.int64")
@@ -66,7 +70,8 @@ class TestDrawParameters(PointOpTests):
             Call((vector(2, 3), KEYS, None), exact[:2], per_sample=False, **common),
             Call((vector(2, 3), KEYS, None), rounded[:2], per_sample=False, **common),
             Call((vector(2, 3), KEYS[:1], lambda: torch.randint(-(2**63), 2**63 - 1, ())), seeded[:2], **common),
-        ]
+        ],
+        "draw_list_parameters": [Call((vector(2, 3), KEYS, None), _of_each(*exact[:2]), per_sample=False, **common)],
     }
 
 

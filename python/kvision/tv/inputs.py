@@ -51,8 +51,8 @@ def _classify(cls: type) -> str:
     return "other"
 
 
-def wrap(output: Any, like: Any) -> Any:
-    """A plain tensor as a tv_tensor of the class of `like`, with its format and canvas."""
+def wrap(output: Any, like: Any, **changed: Any) -> Any:
+    """A plain tensor as a tv_tensor of the class of `like`, with its format and canvas but for what is `changed`."""
     kind = kind_of(like)
     if kind not in TV_TENSORS:
         return output
@@ -60,7 +60,7 @@ def wrap(output: Any, like: Any) -> Any:
         return type(output)(wrap(x, like) for x in output)
     if kind in ("image", "video", "mask"):
         return output.as_subclass(type(like))
-    return type(like).wrap(output, like=like)
+    return sys.modules["torchvision.tv_tensors"].wrap(output, like=like, **changed)
 
 
 def plain(x: Tensor) -> Tensor:

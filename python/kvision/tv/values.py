@@ -386,7 +386,7 @@ class SetClampingMode(Transform):
         self.clamping_mode = clamping_mode
 
     def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
-        return type(inpt).wrap(plain(inpt).clone(), like=inpt, clamping_mode=self.clamping_mode)
+        return wrap(plain(inpt).clone(), inpt, clamping_mode=self.clamping_mode)
 
 
 def labels_in(sample: Any) -> Any:

@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from kvision import tv
+from kvision.tv import containers
 from kvision.tv import functional as F
 
 # --- v2's calls that kvision.tv repeats with the same seeds, and how far results may differ ---------------------------
@@ -291,34 +292,108 @@ def test_torchvision_is_imported_in_functions_alone() -> None:
     )
 
 
-def test_samples_of_a_batch_draw_by_themselves() -> None:
-    """Each is what the transform gives for it alone, in the order of draws; SameOnBatch draws once."""
-    x = torch.stack([photograph(i) for i in range(4)])
-    for t in (
-        tv.RandomHorizontalFlip(),
-        tv.RandomResizedCrop(24),
-        tv.ColorJitter(0.5, 0.5, 0.5, 0.1),
-        tv.RandomAffine(30, fill=3),
-        tv.RandAugment(),
-        tv.RandomChoice([tv.RandomInvert(p=1.0), tv.RandomVerticalFlip()]),
-        tv.RandomApply([tv.RandomCrop((HEIGHT, WIDTH), padding=3)], p=0.5),
-        tv.Compose([tv.RandomErasing(), tv.GaussianBlur(3)]),
-    ):
-        torch.manual_seed(3)
-        result = t(x)
-        torch.manual_seed(3)
-        if isinstance(t, tv.Compose):
-            expected = x
-            for child in t.transforms:
-                expected = torch.stack([child(sample) for sample in expected])
-        else:
-            expected = torch.stack([t(sample) for sample in x])
-        assert torch.equal(result, expected), t
+# Every function that takes arguments of each sample, and some that do not.
+OF_BATCHES = [
+    lambda: tv.RandomHorizontalFlip(),
+    lambda: tv.RandomResizedCrop(24),
+    lambda: tv.RandomResizedCrop((24, 30), interpolation="bicubic"),
+    lambda: tv.RandomResizedCrop(24, interpolation="nearest"),
+    lambda: tv.RandomCrop((HEIGHT, WIDTH), padding=3),
+    lambda: tv.RandomRotation(30, "bilinear", fill=[1, 2, 3]),
+    lambda: tv.RandomAffine(30, (0.1, 0.2), (0.7, 1.2), [-10, 10, -5, 5], fill=3),
+    lambda: tv.RandomPerspective(p=0.7),
+    lambda: tv.ElasticTransform(),
+    lambda: tv.ColorJitter(0.3, 0.3, 0.3, 0.1),
+    lambda: tv.RandomPhotometricDistort(),
+    lambda: tv.RandomChannelPermutation(),
+    lambda: tv.RandomGrayscale(0.5),
+    lambda: tv.RandomAdjustSharpness(3),
+    lambda: tv.GaussianBlur((3, 5)),
+    lambda: tv.JPEG((20, 90)),
+    lambda: tv.RandomErasing(),
+    lambda: tv.RandomErasing(value=[1, 2, 3]),
+    lambda: tv.RandomErasing(value="random"),
+    lambda: tv.AutoAugment(),
+    lambda: tv.RandAugment(3),
+]
+
+
+@pytest.mark.parametrize("dtype", [torch.uint8, torch.float32], ids=str)
+def test_samples_of_a_batch_draw_by_themselves(dtype: torch.dtype, device: torch.device) -> None:
+    """Calls for all samples give what calls for each give, by the same numbers; SameOnBatch draws once."""
+    x = F.to_dtype(torch.stack([photograph(i) for i in range(6)]), dtype, scale=True).to(device)
+    found = []
+    for make in OF_BATCHES:
+        t = make()
+        if type(t) is tv.JPEG and dtype != torch.uint8:
+            continue
+        results = []
+        for t._applies_functions in (True, False):
+            torch.manual_seed(3)
+            results.append(t(x).cpu())
+        levels = 4 if type(t).__name__ in CHAINS else 1
+        found += [f"{t}: {d}" for d in differences(*results, levels, floats=2e-5 if device.type == "cpu" else 1e-4)]
         torch.manual_seed(3)
         once = tv.SameOnBatch([t])(x)
         torch.manual_seed(3)
-        first = t(x[0])
-        assert torch.equal(once[0], first), t
+        found += (
+            [f"{t} once: {d}" for d in differences(once[0].cpu(), t(x[0]).cpu(), levels)]
+            if type(t) is not tv.AugMix
+            else []
+        )
+    assert not found, "\n".join(found)
+
+
+def test_neighbors_in_a_pass_give_what_each_gives(device: torch.device) -> None:
+    """The windows and flips that the pass has drawn, by the functions: within a level, as steps of bytes are not rounded."""
+    x = torch.stack([photograph(i) for i in range(8)]).to(device)
+    mean, std = [0.4, 0.5, 0.6], [0.2, 0.2, 0.3]
+    steps = [tv.RandomResizedCrop((24, 30)), tv.RandomHorizontalFlip(), tv.ToDtype(torch.float32, True)]
+    augment = tv.Compose([*steps, tv.Normalize(mean, std)])
+    result, label = augment((x, 7))
+    assert label == 7 and result.dtype == torch.float32
+    passed = augment._steps(list(augment.transforms), (x,))
+    assert [name for name, _ in passed] == ["RandomResizedCrop", "RandomHorizontalFlip", "dtype", "Normalize"]
+    crop, flip, _ = containers._pass_of(tuple(passed)).augmentations._params
+    for i in range(8):
+        (left, top), _, (right, bottom), _ = crop.data["src"][i].int().tolist()
+        y = F.resized_crop(x[i], top, left, bottom - top + 1, right - left + 1, [24, 30])
+        y = F.horizontal_flip(y) if flip.data["batch_prob"][i] else y
+        expected = F.normalize(F.to_dtype(y, torch.float32, True), mean, std)
+        assert (result[i] - expected).abs().amax() < 1 / 255 / 0.2, i
+    assert tv.SameOnBatch([augment])(x[:1].expand(2, -1, -1, -1)).unique(dim=0).shape[0] == 1  # draws once
+    assert len(augment._steps([tv.Normalize(mean, std)], (x,))) == 0  # of bytes, which are refused
+
+
+def test_samples_of_a_batch_choose_by_themselves() -> None:
+    x = torch.zeros(64, 1, 2, 3)
+    x[..., 0] = 1
+    flips = [tv.RandomHorizontalFlip(1.0), tv.RandomInvert(1.0)]
+    flipped, inverted, both = x.flip(-1), 1 - x, 1 - x.flip(-1)
+    for t, expected in (
+        (tv.RandomChoice(flips), (flipped, inverted)),
+        (tv.RandomApply(flips), (x, both)),
+        (
+            tv.RandomOrder([tv.RandomHorizontalFlip(1.0), tv.Pad([1, 0, 0, 0])]),
+            (tv.Pad([1, 0, 0, 0])(flipped), tv.Pad([1, 0, 0, 0])(x).flip(-1)),
+        ),
+    ):
+        result, label = t((x, 3))
+        assert label == 3
+        first, second = ((result == e).flatten(1).all(1) for e in expected)
+        assert (first | second).all() and first.any() and second.any(), t
+
+
+def test_transforms_of_your_own_see_each_sample() -> None:
+    class Less(tv.RandomInvert):
+        def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
+            return {"mean": flat_inputs[0].mean()}
+
+        def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
+            return inpt - params["mean"]
+
+    x = torch.rand(3, 1, 4, 5)
+    assert torch.allclose(Less(1.0)(x), x - x.mean((1, 2, 3), keepdim=True))
 
 
 def test_masks_follow_the_images_of_a_batch() -> None:

@@ -17,10 +17,12 @@ from kvision.tv.transform import (
     channels_in,
     integer,
     pair,
+    permutation,
     probability,
     size_of,
     two,
     uniform,
+    unit,
 )
 
 
@@ -143,14 +145,14 @@ class ColorJitter(_Jitter):
         self.hue = _factors("hue", hue, 0.0, -0.5, 0.5)
 
     def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
-        order = torch.randperm(4, device="cpu")
+        order = permutation(4)
         intervals = (self.brightness, self.contrast, self.saturation, self.hue)
         factors = [None if interval is None else uniform(*interval) for interval in intervals]
         return {"fn_idx": order, **dict(zip(self.functionals, factors))}
 
     def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
         names = tuple(self.functionals)
-        return self._adjust(inpt, [names[i] for i in params["fn_idx"].tolist()], params)
+        return self._adjust(inpt, [names[i] for i in params["fn_idx"]], params)
 
 
 class RandomPhotometricDistort(_Jitter):
@@ -189,19 +191,17 @@ class RandomPhotometricDistort(_Jitter):
         intervals = (self.brightness, self.contrast, self.saturation, self.hue)
         params: dict[str, Any] = {}
         for name, interval in zip(self.functionals, intervals):
-            params[name] = uniform(*interval) if torch.rand(1, device="cpu").item() < self.p else None
-        params["contrast_before"] = torch.rand((), device="cpu").item() < 0.5
-        params["channel_permutation"] = (
-            torch.randperm(channels, device="cpu") if torch.rand(1, device="cpu").item() < self.p else None
-        )
+            params[name] = uniform(*interval) if unit() < self.p else None
+        params["contrast_before"] = unit() < 0.5
+        params["channel_permutation"] = permutation(channels) if unit() < self.p else None
         return params
 
     def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
         names = ["brightness_factor", "saturation_factor", "hue_factor"]
         names.insert(1 if params["contrast_before"] else 3, "contrast_factor")
         inpt = self._adjust(inpt, names, params)
-        permutation = params["channel_permutation"]
-        return inpt if permutation is None else self._call_kernel(F.permute_channels, inpt, permutation)
+        channels = params["channel_permutation"]
+        return inpt if channels is None else self._call_kernel(F.permute_channels, inpt, channels)
 
 
 class RandomChannelPermutation(Transform):
@@ -217,7 +217,7 @@ class RandomChannelPermutation(Transform):
     draws = True
 
     def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
-        return {"permutation": torch.randperm(channels_in(flat_inputs), device="cpu")}
+        return {"permutation": permutation(channels_in(flat_inputs))}
 
     def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
         return self._call_kernel(F.permute_channels, inpt, **params)
@@ -417,7 +417,7 @@ class JPEG(Transform):
             raise ValueError(f"JPEG: expected a quality of 1 to 100, or two of them, got {quality!r}")
 
     def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
-        return {"quality": int(torch.randint(self.quality[0], self.quality[1] + 1, (), device="cpu"))}
+        return {"quality": integer(self.quality[0], self.quality[1] + 1)}
 
     def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
         return self._call_kernel(F.jpeg, inpt, **params)

@@ -2,14 +2,27 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
-from torch import nn
+from torch import Tensor, nn
 
 from kvision._torch_compat import tree_flatten, tree_unflatten
-from kvision.tv.transform import Transform, count_samples, draws_once, join, probability, split
+from kvision.tv.inputs import kind_of, plain, wrap
+from kvision.tv.transform import (
+    Step,
+    Transform,
+    at,
+    count_samples,
+    draws_once,
+    join,
+    permutation,
+    probability,
+    split,
+    unit,
+)
 
 
 class _Container(Transform):
@@ -34,16 +47,26 @@ class _Container(Transform):
         needed = self._needed(flat)
         samples = count_samples(flat, needed) if self.draws else 0
         if not samples:
-            return self._choose(*inputs)
-        results = []
-        for part in split(flat, needed, samples):
-            nested = tree_unflatten(part, spec)
-            results.append(tree_flatten(self._choose(*nested) if len(inputs) > 1 else self._choose(nested))[0])
-        return tree_unflatten(join(results, flat, needed), spec)
+            return self._apply(self._choice(), inputs)
+        by_choice: dict[tuple[int, ...], list[int]] = {}
+        for i in range(samples):
+            by_choice.setdefault(tuple(self._choice()), []).append(i)
+        if len(by_choice) == 1:
+            return self._apply(*by_choice, inputs)
+        parts = [None] * samples
+        for choice, chosen in by_choice.items():
+            part = tree_unflatten([at(x, chosen) if is_needed else x for x, is_needed in zip(flat, needed)], spec)
+            outputs = tree_flatten(self._apply(choice, part if len(inputs) > 1 else (part,)))[0]
+            for sample, i in zip(split(outputs, needed, len(chosen)), chosen):
+                parts[i] = sample
+        return tree_unflatten(join(parts, flat, needed), spec)
 
-    def _choose(self, *inputs: Any) -> Any:
-        """Choose and apply the transforms of a sample."""
+    def _choice(self) -> Sequence[int]:
+        """The transforms that are applied, in turn."""
         raise NotImplementedError
+
+    def _apply(self, choice: Sequence[int], inputs: tuple[Any, ...]) -> Any:
+        return apply_all([self.transforms[i] for i in choice], inputs)
 
     def extra_repr(self) -> str:
         return "\n".join(f"    {t}" for t in self.transforms)
@@ -76,7 +99,58 @@ class Compose(_Container):
     """
 
     def forward(self, *inputs: Any) -> Any:
-        return apply_all(self.transforms, inputs)
+        if self._batch(inputs) is None:
+            return apply_all(self.transforms, inputs)
+        transforms = list(self.transforms)
+        while transforms:
+            steps = self._steps(transforms, inputs)
+            if len(steps) > 1:
+                transforms[: len(steps)] = [_pass_of(tuple(steps))]
+            output = transforms.pop(0)(*inputs)
+            inputs = output if len(inputs) > 1 else (output,)
+        return inputs if len(inputs) > 1 else inputs[0]
+
+    def _batch(self, inputs: tuple[Any, ...]) -> Tensor | None:
+        """The images of a sample that is a batch of them, without anything that moves with them."""
+        flat = [inputs[0]] if len(inputs) == 1 and isinstance(inputs[0], Tensor) else tree_flatten(inputs)[0]
+        needed = self._needed(flat)
+        if sum(needed) != 1 or not count_samples(flat, needed):
+            return None
+        image = flat[needed.index(True)]
+        return image if kind_of(image) in ("tensor", "image") and image.dim() == 4 else None
+
+    def _steps(self, transforms: list[Any], inputs: tuple[Any, ...]) -> list[Step]:
+        """The steps of one pass that the first transforms are."""
+        steps: list[Step] = []
+        image = self._batch(inputs)
+        if image is None:
+            return steps
+        dtype = image.dtype
+        for t in transforms:
+            step = t.step(dtype, image.shape[1]) if type(t).__module__.startswith("kvision.tv.") else None
+            if step is None:
+                break
+            steps.append(step)
+            dtype = step[1] if step[0] == "dtype" else dtype
+        return steps
+
+
+class _Pass(Transform):
+    """Transforms of a batch of images in one launch, by the steps of kvision.augmentation that they are."""
+
+    def __init__(self, steps: tuple[Step, ...]) -> None:
+        from kvision import augmentation
+
+        super().__init__()
+        modules = [getattr(augmentation, name)(**dict(arguments)) for name, arguments in steps if name != "dtype"]
+        dtypes = [value for name, value in steps if name == "dtype"]
+        self.augmentations = augmentation.AugmentationSequential(*modules, output_dtype=dtypes[-1] if dtypes else None)
+
+    def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
+        return wrap(self.augmentations(plain(inpt)), inpt)
+
+
+_pass_of = functools.lru_cache(64)(_Pass)
 
 
 class SameOnBatch(_Container):
@@ -116,8 +190,8 @@ class RandomApply(_Container):
         super().__init__(transforms)
         self.p = probability("RandomApply", p)
 
-    def _choose(self, *inputs: Any) -> Any:
-        return apply_all(() if torch.rand(1, device="cpu").item() >= self.p else self.transforms, inputs)
+    def _choice(self) -> Sequence[int]:
+        return () if unit() >= self.p else range(len(self.transforms))
 
 
 class RandomChoice(_Container):
@@ -141,8 +215,8 @@ class RandomChoice(_Container):
             raise ValueError(f"RandomChoice: expected {len(transforms)} weights, got {len(weights)}")
         self.p = [weight / sum(weights) for weight in weights]
 
-    def _choose(self, *inputs: Any) -> Any:
-        return self.transforms[int(torch.multinomial(torch.tensor(self.p, device="cpu"), 1))](*inputs)
+    def _choice(self) -> Sequence[int]:
+        return [int(torch.multinomial(torch.tensor(self.p, device="cpu"), 1))]
 
 
 class RandomOrder(_Container):
@@ -158,6 +232,5 @@ class RandomOrder(_Container):
         tensor([[[0.]]])
     """
 
-    def _choose(self, *inputs: Any) -> Any:
-        order = torch.randperm(len(self.transforms), device="cpu").tolist()
-        return apply_all([self.transforms[i] for i in order], inputs)
+    def _choice(self) -> Sequence[int]:
+        return permutation(len(self.transforms))

@@ -14,15 +14,18 @@ from kvision.tv.functional.geometry import (
     PADDING_MODES,
     InterpolationMode,
     four_paddings,
+    interpolation_name,
     perspective_coefficients,
 )
 from kvision.tv.inputs import kind_of, plain, wrap
 from kvision.tv.transform import (
     RandomTransform,
+    Step,
     Transform,
     fill_of,
     integer,
     interval,
+    log_uniform,
     size_of,
     two,
     uniform,
@@ -48,6 +51,9 @@ class RandomHorizontalFlip(RandomTransform):
     def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
         return self._call_kernel(F.horizontal_flip, inpt)
 
+    def step(self, dtype: torch.dtype, channels: int) -> Step | None:
+        return "RandomHorizontalFlip", (("p", self.p),)
+
 
 class RandomVerticalFlip(RandomTransform):
     """Mirror the rows with a probability.
@@ -64,6 +70,9 @@ class RandomVerticalFlip(RandomTransform):
 
     def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
         return self._call_kernel(F.vertical_flip, inpt)
+
+    def step(self, dtype: torch.dtype, channels: int) -> Step | None:
+        return "RandomVerticalFlip", (("p", self.p),)
 
 
 class _Resizing(Transform):
@@ -179,7 +188,7 @@ class RandomShortestSize(_Resizing):
 
     def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
         height, width = size_of(flat_inputs)
-        r = self.min_size[int(torch.randint(len(self.min_size), (), device="cpu"))] / min(height, width)
+        r = self.min_size[integer(0, len(self.min_size))] / min(height, width)
         if self.max_size is not None:
             r = min(r, self.max_size / max(height, width))
         return {"size": (int(height * r), int(width * r))}
@@ -209,7 +218,7 @@ class RandomResize(_Resizing):
         self.min_size, self.max_size = min_size, max_size
 
     def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
-        return {"size": [int(torch.randint(self.min_size, self.max_size, (), device="cpu"))]}
+        return {"size": [integer(self.min_size, self.max_size)]}
 
 
 class CenterCrop(Transform):
@@ -286,7 +295,7 @@ class TenCrop(_Crops):
 def drawn_window(height: int, width: int, scale: Any, log_ratio: Any) -> tuple[int, int]:
     """A height and width by a share of the area and an aspect ratio (width / height), both drawn."""
     area = height * width * uniform(scale[0], scale[1])
-    ratio = torch.exp(torch.empty(1, device="cpu").uniform_(log_ratio[0], log_ratio[1])).item()
+    ratio = log_uniform(log_ratio[0], log_ratio[1])
     return round(math.sqrt(area / ratio)), round(math.sqrt(area * ratio))
 
 
@@ -341,6 +350,14 @@ class RandomResizedCrop(Transform):
     def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
         options = {"interpolation": self.interpolation, "antialias": self.antialias}
         return self._call_kernel(F.resized_crop, inpt, **params, size=self.size, **options)
+
+    def step(self, dtype: torch.dtype, channels: int) -> Step | None:
+        if dtype not in (torch.uint8, torch.float32) or not self.antialias:
+            return None
+        if interpolation_name("RandomResizedCrop", self.interpolation) != "bilinear":
+            return None
+        options = (("align_corners", False), ("antialias", True))
+        return "RandomResizedCrop", (("size", self.size), ("scale", self.scale), ("ratio", self.ratio), *options)
 
 
 class Pad(Transform):
@@ -458,7 +475,7 @@ class RandomCrop(Transform):
                 raise ValueError(f"RandomCrop: expected images of at least {self.size} with their padding, got {size}")
             top, bottom, left, right = top + missing[0], bottom + missing[0], left + missing[1], right + missing[1]
         over = size[0] + top + bottom - self.size[0], size[1] + left + right - self.size[1]
-        y, x = (int(torch.randint(0, n + 1, (), device="cpu")) if n else 0 for n in over)
+        y, x = (integer(0, n + 1) if n else 0 for n in over)
         return {"padding": [left, top, right, bottom], "top": y, "left": x, "crops": any(over)}
 
     def transform(self, inpt: Any, params: dict[str, Any]) -> Any:

@@ -16,7 +16,7 @@ from kvision.tv import functional as F
 from kvision.tv.functional.values import largest
 from kvision.tv.geometry import Fill, Interpolation
 from kvision.tv.inputs import kind_of, pil_to_tensor, plain, to_pil_image, wrap
-from kvision.tv.transform import Transform, fill_of, integer, size_of
+from kvision.tv.transform import Transform, fill_of, integer, size_of, unit
 from kvision.tv.values import labels_getter_of
 
 
@@ -216,11 +216,11 @@ class _Policy(Transform):
         magnitudes = of_bins(bins, *size)
         if magnitudes is None:
             return 0.0
-        number = float(magnitudes[int(torch.randint(bins, (), device="cpu")) if index is None else index])
-        return -number if signed and torch.rand((), device="cpu").item() <= 0.5 else number
+        number = float(magnitudes[integer(0, bins) if index is None else index])
+        return -number if signed and unit() <= 0.5 else number
 
     def _choose(self, space: _Space) -> str:
-        return tuple(space)[int(torch.randint(len(space), (), device="cpu"))]
+        return tuple(space)[integer(0, len(space))]
 
     def _operate(self, x: Any, name: str, magnitude: float) -> Any:
         fill = fill_of(self.fill, x)
@@ -232,16 +232,16 @@ class _Policy(Transform):
                 "shear": [0.0, 0.0],
                 **_ROWS[name](magnitude),
             }
-            return F.affine(x, **options, interpolation=self.interpolation, fill=fill)
+            return self._call_kernel(F.affine, x, **options, interpolation=self.interpolation, fill=fill)
         if name == "Rotate":
-            return F.rotate(x, magnitude, interpolation=self.interpolation, fill=fill)
+            return self._call_kernel(F.rotate, x, magnitude, interpolation=self.interpolation, fill=fill)
         if name in _COLORS:
-            return _COLORS[name](x, 1.0 + magnitude)
+            return self._call_kernel(_COLORS[name], x, 1.0 + magnitude)
         if name == "Posterize":
-            return F.posterize(x, int(magnitude))
+            return self._call_kernel(F.posterize, x, int(magnitude))
         if name == "Solarize":
-            return F.solarize(x, (largest(x.dtype) if isinstance(x, Tensor) else 255.0) * magnitude)
-        return _PLAIN[name](x) if name in _PLAIN else x
+            return self._call_kernel(F.solarize, x, (largest(x.dtype) if isinstance(x, Tensor) else 255.0) * magnitude)
+        return self._call_kernel(_PLAIN[name], x) if name in _PLAIN else x
 
 
 _OPERATIONS = {"shear_x": "ShearX", "shear_y": "ShearY", "translate_x": "TranslateX", "translate_y": "TranslateY"}
@@ -283,8 +283,8 @@ class AutoAugment(_Policy):
 
     def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
         size = size_of([inpt])
-        for name, p, level in self._entries[int(torch.randint(len(self._entries), (), device="cpu"))]:
-            if torch.rand((), device="cpu").item() <= p:
+        for name, p, level in self._entries[integer(0, len(self._entries))]:
+            if unit() <= p:
                 inpt = self._operate(inpt, name, self._drawn_magnitude(name, 10, level, size))
         return inpt
 
@@ -382,6 +382,7 @@ class AugMix(_Policy):
 
     space = _space(0.3, _share_of("x", 1 / 3), _share_of("y", 1 / 3), 30, 0.9, (4, 4), "last")
     bins = 10
+    _applies_functions = False
 
     def __init__(
         self,
@@ -417,7 +418,7 @@ class AugMix(_Policy):
             chain = image
             for _ in range(self.chain_depth if self.chain_depth > 0 else integer(1, 4)):
                 name = self._choose(space)
-                index = None if space[name][0] is _none else int(torch.randint(self.severity, (), device="cpu"))
+                index = None if space[name][0] is _none else integer(0, self.severity)
                 chain = self._operate(chain, name, self._drawn_magnitude(name, self.bins, index, size_of([image])))
             mix += shares[:, i].reshape(weights) * chain
         mix = mix.to(image.dtype)

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import enum
+import functools
+import itertools
+import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -26,10 +29,15 @@ from kvision.tv.inputs import (
     wrap,
 )
 
+Step = tuple[str, Any]
 _EXPLICIT = frozenset({"image", "video", "pil"})
 _LEAVES = frozenset({"tensor", "array", "pil", *TV_TENSORS})
 _ALL_TENSORS = EVERYTHING | {"tv_tensor"}
 _once: ContextVar[bool] = ContextVar("kvision.tv draws once", default=False)
+# Where set, calls of functions are noted, not made: those of a sample of a batch.
+_calls: ContextVar[list[Any] | None] = ContextVar("kvision.tv calls", default=None)
+# Where set, the source of numbers in [0, 1): those of a batch are drawn together.
+_numbers: ContextVar[Iterator[float] | None] = ContextVar("kvision.tv numbers", default=None)
 
 
 @contextmanager
@@ -61,6 +69,12 @@ class Transform(nn.Module):
     """The kinds of inputs that are transformed."""
     draws: bool = False
     """Whether each sample of a batch (B, C, H, W) draws numbers of its own."""
+    _applies_functions = True  # of the size alone, so that calls of all samples can be made together
+
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        super().__init_subclass__(**kwargs)
+        if not cls.__module__.startswith("kvision.tv."):
+            cls._applies_functions = False
 
     def check_inputs(self, flat_inputs: list[Any]) -> None:
         """Raise for a sample that cannot be transformed."""
@@ -73,9 +87,19 @@ class Transform(nn.Module):
         """Transform an input by the parameters."""
         raise NotImplementedError
 
+    def step(self, dtype: torch.dtype, channels: int) -> Step | None:
+        """What this is of kvision.augmentation for a batch of images: a class and its arguments, or "dtype" and the type."""
+        return None
+
     def _call_kernel(self, functional: Callable[..., Any], inpt: Any, *args: Any, **kwargs: Any) -> Any:
         """Apply a function of kvision.tv.functional, which passes on what it does not change."""
-        return functional(inpt, *args, **kwargs) if takes(functional, inpt) else inpt
+        if not takes(functional, inpt):
+            return inpt
+        calls = _calls.get()
+        if calls is None:
+            return functional(inpt, *args, **kwargs)
+        calls.append((functional, (args, kwargs)))
+        return inpt
 
     def forward(self, *inputs: Any) -> Any:
         sample = inputs if len(inputs) > 1 else inputs[0]
@@ -96,13 +120,39 @@ class Transform(nn.Module):
             needed = [is_needed and (kinds[i] != "tensor" or i == first) for i, is_needed in enumerate(needed)]
         return needed
 
+    def _drawn(self, inputs: list[Any]) -> dict[str, Any] | None:
+        """The parameters of a sample, None for one that stays as it is."""
+        return self.make_params(inputs)
+
     def _flat(self, flat: list[Any], needed: list[bool]) -> list[Any]:
-        params = self.make_params([x for x, is_needed in zip(flat, needed) if is_needed])
+        params = self._drawn([x for x, is_needed in zip(flat, needed) if is_needed])
+        if params is None:
+            return flat
         return [self.transform(x, params) if is_needed else x for x, is_needed in zip(flat, needed)]
 
     def _each(self, flat: list[Any], needed: list[bool], samples: int) -> list[Any]:
-        """Transform each sample by itself. This defines what faster ways for batches give."""
-        return join([self._flat(sample, needed) for sample in split(flat, needed, samples)], flat, needed)
+        """Transform each sample of a batch by numbers of its own. The first way defines what the second one gives."""
+        token = _numbers.set(_unit_numbers())
+        try:
+            if not self._applies_functions:
+                return join([self._flat(sample, needed) for sample in split(flat, needed, samples)], flat, needed)
+            first = next(split(flat, needed, samples))  # samples are of one size
+            inputs = [x for x, is_needed in zip(first, needed) if is_needed]
+            params = [self._drawn(inputs) for _ in range(samples)]
+            calls = [[self._calls_of(x, p) for p in params] if is_needed else [] for x, is_needed in zip(first, needed)]
+        finally:
+            _numbers.reset(token)
+        return [apply_calls(x, c) if is_needed else x for x, c, is_needed in zip(flat, calls, needed)]
+
+    def _calls_of(self, x: Any, params: dict[str, Any] | None) -> list[Any]:
+        calls: list[Any] = []
+        if params is not None:
+            token = _calls.set(calls)
+            try:
+                self.transform(x, params)
+            finally:
+                _calls.reset(token)
+        return calls
 
     def extra_repr(self) -> str:
         shown = (bool, int, float, str, tuple, list, enum.Enum)
@@ -155,20 +205,8 @@ class RandomTransform(Transform):
         super().__init__()
         self.p = probability(type(self).__name__, p)
 
-    def _flat(self, flat: list[Any], needed: list[bool]) -> list[Any]:
-        return flat if torch.rand(1, device="cpu").item() >= self.p else super()._flat(flat, needed)
-
-    def _each(self, flat: list[Any], needed: list[bool], samples: int) -> list[Any]:
-        if type(self).make_params is not Transform.make_params:
-            return super()._each(flat, needed, samples)
-        # Only p is drawn: the samples that it chooses are transformed in one call.
-        chosen = [i for i in range(samples) if torch.rand(1, device="cpu").item() < self.p]
-        return [self._at(x, chosen) if is_needed else x for x, is_needed in zip(flat, needed)] if chosen else flat
-
-    def _at(self, x: Any, chosen: list[int]) -> Any:
-        index = torch.tensor(chosen, device=x.device)
-        part = self.transform(wrap(plain(x)[index], x), {})
-        return wrap(plain(x).index_copy(0, index, plain(part)), x)
+    def _drawn(self, inputs: list[Any]) -> dict[str, Any] | None:
+        return super()._drawn(inputs) if unit() < self.p else None
 
 
 def probability(op: str, p: float) -> float:
@@ -178,16 +216,75 @@ def probability(op: str, p: float) -> float:
     return p
 
 
+def apply_calls(x: Any, calls: list[list[Any]]) -> Any:
+    """Make the calls of each sample of a batch, in turn; those of one function together."""
+    for turn in itertools.zip_longest(*calls):
+        by_function: dict[Any, list[int]] = {}
+        for i, call in enumerate(turn):
+            if call is not None:
+                by_function.setdefault(call[0], []).append(i)
+        source = x
+        for function, chosen in by_function.items():
+            x = at_samples(
+                functools.partial(function.of_each, arguments=[turn[i][1] for i in chosen]), x, chosen, source
+            )
+    return x
+
+
+def at_samples(function: Callable[[Any], Any], x: Any, chosen: list[int], source: Any = None) -> Any:
+    """`x` with the results of a function of the `chosen` samples of `source`, by default of `x`."""
+    source = x if source is None else source
+    if len(chosen) == len(x):
+        return function(source)
+    index = torch.tensor(chosen, device=x.device)
+    return wrap(plain(x).index_copy(0, index, plain(function(at(source, index)))), x)
+
+
+def at(x: Any, chosen: Any) -> Any:
+    """Some samples of a batch."""
+    return wrap(plain(x)[chosen], x)
+
+
 # --- draws as v2's, in its order, so that a seed draws the same -----------------------------------------------------
 
 
+def _unit_numbers() -> Iterator[float]:
+    while True:
+        yield from torch.rand(256, dtype=torch.float64, device="cpu").tolist()
+
+
+def unit() -> float:
+    numbers = _numbers.get()
+    return torch.rand(1, device="cpu").item() if numbers is None else next(numbers)
+
+
 def uniform(low: float, high: float) -> float:
-    return torch.empty(1, device="cpu").uniform_(low, high).item()
+    numbers = _numbers.get()
+    if numbers is None:
+        return torch.empty(1, device="cpu").uniform_(low, high).item()
+    return low + next(numbers) * (high - low)
+
+
+def log_uniform(low: float, high: float) -> float:
+    """Between exp(low) and exp(high)."""
+    if _numbers.get() is None:
+        return torch.exp(torch.empty(1, device="cpu").uniform_(low, high)).item()
+    return math.exp(uniform(low, high))
 
 
 def integer(low: int, high: int) -> int:
     """Of [low, high)."""
-    return int(torch.randint(low, high, (1,), device="cpu").item())
+    numbers = _numbers.get()
+    if numbers is None:
+        return int(torch.randint(low, high, (1,), device="cpu").item())
+    return low + int(next(numbers) * (high - low))
+
+
+def permutation(n: int) -> list[int]:
+    numbers = _numbers.get()
+    return (
+        torch.randperm(n, device="cpu").tolist() if numbers is None else sorted(range(n), key=lambda _: next(numbers))
+    )
 
 
 # --- what a sample holds --------------------------------------------------------------------------------------------

@@ -12,7 +12,7 @@ from kvision import _check
 from kvision._torch_compat import tree_flatten, tree_unflatten
 from kvision.tv import functional as F
 from kvision.tv.inputs import PIXELS, TV_TENSORS, kind_of, plain, wrap
-from kvision.tv.transform import Transform
+from kvision.tv.transform import Step, Transform
 
 
 class Identity(Transform):
@@ -125,6 +125,12 @@ class Normalize(Transform):
     def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
         return self._call_kernel(F.normalize, inpt, self.mean, self.std, self.inplace)
 
+    def step(self, dtype: torch.dtype, channels: int) -> Step | None:
+        fits = dtype == torch.float32 and channels == len(self.mean) == len(self.std) == 3 and max(self.mean) <= 1
+        if not fits or self.inplace or not all(self.std):
+            return None
+        return "Normalize", (("mean", tuple(self.mean)), ("std", tuple(self.std)))
+
 
 class ToDtype(Transform):
     """Convert to another type.
@@ -158,6 +164,9 @@ class ToDtype(Transform):
         else:
             raise ValueError(f"ToDtype: expected a dtype of {type(inpt).__name__}, or of 'others', got {self.dtype}")
         return inpt if dtype is None else self._call_kernel(F.to_dtype, inpt, dtype=dtype, scale=self.scale)
+
+    def step(self, dtype: torch.dtype, channels: int) -> Step | None:
+        return ("dtype", torch.float32) if self.dtype == torch.float32 and self.scale and dtype == torch.uint8 else None
 
 
 class ConvertImageDtype(Transform):

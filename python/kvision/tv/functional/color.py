@@ -6,7 +6,7 @@ v2 truncates integers after each function, steps of color programs round: bytes 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
@@ -35,6 +35,22 @@ LUMA = (0.2989, 0.587, 0.114)  # torchvision's weights
 def _program(x: Tensor, *steps: tuple[str, Sequence[Any]]) -> Tensor:
     numbers = [STEPS[name].number for name, _ in steps]
     return shaped(run(as_batch(x), numbers, arguments([p for _, values in steps for p in values])), x)
+
+
+def _each(kernel: Callable[..., Tensor], name: str, low: float = 0.0, high: float = math.inf) -> Callable[..., Tensor]:
+    """`kernel` of images (B, C, H, W) with a factor of each, (B, 1, 1)."""
+
+    def each(x: Tensor, rows: list[dict[str, Any]]) -> Tensor:
+        factors = [float(row[name]) for row in rows]
+        for factor in factors:
+            _check_factor(name, factor, low, high)
+        return kernel(x, torch.tensor(factors, device=x.device)[:, None, None])
+
+    return each
+
+
+def _of_colors(kernel: Callable[..., Tensor]) -> Callable[..., Tensor]:
+    return lambda x, factor: kernel(x, factor) if x.shape[-3] == 3 else x
 
 
 def _check_factor(op: str, factor: float, low: float = 0.0, high: float = math.inf) -> None:
@@ -79,7 +95,7 @@ def _scaled(x: Tensor, factor: float) -> Tensor:
     return shaped(scale_shift(as_batch(x), factor, truncated(x), True), x)
 
 
-@functional()
+@functional(each=_each(_scaled, "brightness_factor"))
 def adjust_brightness(inpt: Tensor, brightness_factor: float) -> Tensor:
     _check_factor("adjust_brightness", brightness_factor)
     return _scaled(inpt, brightness_factor)
@@ -95,7 +111,13 @@ def _saturated(x: Tensor, factor: float) -> Tensor:
     return _program(x, ("affine", numbers))
 
 
-@functional()
+def _blended(x: Tensor, factor: Tensor) -> Tensor:
+    """`_saturated` with a factor of each: v2's arithmetic, as no step of a program has matrices of each image."""
+    factor = factor[..., None].to(torch.promote_types(x.dtype, torch.float32))
+    return (x * factor + _gray(x) * (1 - factor)).clamp_(0, largest(x.dtype)).to(x.dtype)
+
+
+@functional(each=_each(_of_colors(_blended), "saturation_factor"))
 def adjust_saturation(inpt: Tensor, saturation_factor: float) -> Tensor:
     _check_factor("adjust_saturation", saturation_factor)
     return _saturated(inpt, saturation_factor) if _is_rgb("adjust_saturation", inpt) else inpt
@@ -109,7 +131,7 @@ def _around_mean(x: Tensor, factor: float) -> Tensor:
     return shaped(scale_shift(batch, factor, mean * ((1 - factor) / largest(x.dtype)) + truncated(x), True), x)
 
 
-@functional()
+@functional(each=_each(_around_mean, "contrast_factor"))
 def adjust_contrast(inpt: Tensor, contrast_factor: float) -> Tensor:
     _check_factor("adjust_contrast", contrast_factor)
     _is_rgb("adjust_contrast", inpt)
@@ -126,7 +148,7 @@ def _rotated_hue(x: Tensor, turns: float) -> Tensor:
     return _program(x, *steps, *([("scale_shift", _TO_LEVELS)] if x.dtype == torch.uint8 else []))
 
 
-@functional()
+@functional(each=_each(_of_colors(_rotated_hue), "hue_factor", -0.5, 0.5))
 def adjust_hue(inpt: Tensor, hue_factor: float) -> Tensor:
     _check_factor("adjust_hue", hue_factor, -0.5, 0.5)
     return _rotated_hue(inpt, hue_factor) if _is_rgb("adjust_hue", inpt) and inpt.numel() else inpt
@@ -146,7 +168,7 @@ def adjust_gamma(inpt: Tensor, gamma: float, gain: float = 1) -> Tensor:
 _sharpened = of_all_types(sharpness)
 
 
-@functional()
+@functional(each=_each(lambda x, factor: _sharpened(x, factor[:, 0, 0]), "sharpness_factor"))
 def adjust_sharpness(inpt: Tensor, sharpness_factor: float) -> Tensor:
     _check_factor("adjust_sharpness", sharpness_factor)
     _is_rgb("adjust_sharpness", inpt)
@@ -206,7 +228,12 @@ def invert(inpt: Tensor) -> Tensor:
     return ~inpt if inpt.dtype in (torch.uint8, torch.bool) else inpt ^ torch.iinfo(inpt.dtype).max
 
 
-@functional()
+def _permute_each(x: Tensor, rows: list[dict[str, Any]]) -> Tensor:
+    channels = torch.tensor([list(row["permutation"]) for row in rows], device=x.device)
+    return x[torch.arange(x.shape[0], device=x.device)[:, None], channels]
+
+
+@functional(each=_permute_each)
 def permute_channels(inpt: Tensor, permutation: Sequence[int] | Tensor) -> Tensor:
     if len(permutation) != inpt.shape[-3]:
         raise ValueError(
@@ -240,7 +267,15 @@ def _two_numbers(op: str, name: str, value: Any) -> tuple[Any, Any]:
     return values[0], values[-1]
 
 
-@functional()
+def _blur_each(x: Tensor, rows: list[dict[str, Any]]) -> Any:
+    if len({tuple(row["kernel_size"]) for row in rows}) > 1 or not (x.is_floating_point() or x.dtype == torch.uint8):
+        return NotImplemented
+    sigmas = torch.tensor([list(row["sigma"])[::-1] for row in rows], device=x.device)
+    kx, ky = rows[0]["kernel_size"]
+    return gaussian_blur2d(x, (ky, kx), sigmas)
+
+
+@functional(each=_blur_each)
 def gaussian_blur(
     inpt: Tensor, kernel_size: int | Sequence[int], sigma: float | Sequence[float] | None = None
 ) -> Tensor:

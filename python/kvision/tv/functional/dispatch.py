@@ -7,6 +7,9 @@ import inspect
 from collections.abc import Callable
 from typing import Any
 
+import torch
+from torch import Tensor
+
 from kvision.core.exceptions import TypeCheckError
 from kvision.tv.inputs import IMAGES, LABELS, TV_TENSORS, kind_of, pil_to_tensor, plain, to_pil_image, wrap
 
@@ -14,18 +17,24 @@ _registered: dict[str, dict[type, Callable[..., Any]]] = {}
 
 
 def functional(
-    *, moves: bool = False, pil: Callable[..., Any] | None = None, mask: Callable[..., Any] | str | None = None
+    *,
+    moves: bool = False,
+    pil: Callable[..., Any] | None = None,
+    mask: Callable[..., Any] | str | None = None,
+    each: Callable[[Any, list[dict[str, Any]]], Any] | None = None,
 ) -> Callable[[Callable[..., Any]], Any]:
     """Make a public function of a kernel, which takes a tensor (*, C, H, W) and v2's arguments.
 
     `moves` says that masks, boxes and key points follow; `mask` is the kernel of masks where it is another, or "nearest" for that
     interpolation. `pil` is a function of PIL images with the same values; NotImplemented says that they differ for some arguments.
+    `each` is the kernel of images (B, C, H, W) with arguments of each; NotImplemented says that it has none for some.
     Boxes and key points are torchvision's: their classes exist only where it is loaded, and its functions are public.
     """
 
     def decorate(kernel: Callable[..., Any]) -> Any:
         name = kernel.__name__
-        names = tuple(inspect.signature(kernel).parameters)[1:]
+        parameters = tuple(inspect.signature(kernel).parameters.values())[1:]
+        names = tuple(p.name for p in parameters)
 
         @functools.wraps(kernel)
         def call(inpt: Any, *args: Any, **kwargs: Any) -> Any:
@@ -51,9 +60,38 @@ def functional(
             raise TypeCheckError(f"{name}: expected an image, a video or a PIL image, got {type(inpt).__name__}")
 
         call.kinds = IMAGES | {"mask"} | LABELS if moves else IMAGES  # type: ignore[attr-defined]
+        call.of_each = functools.partial(_of_each, call, each, mask, parameters)  # type: ignore[attr-defined]
         return call
 
     return decorate
+
+
+Arguments = tuple[tuple[Any, ...], dict[str, Any]]
+
+
+def _of_each(call: Any, each: Any, mask: Any, parameters: Any, x: Any, arguments: list[Arguments]) -> Any:
+    """A function of a batch of images, or of their masks, by arguments of each."""
+    args, kwargs = arguments[0]
+    if all(_are_equal(args, a) and _are_equal(kwargs, k) for a, k in arguments):
+        return call(x, *args, **kwargs)
+    kind = kind_of(x)
+    if each is not None and (kind in ("tensor", "image") or (kind == "mask" and not callable(mask))):
+        defaults = {p.name: p.default for p in parameters}
+        rows = [{**defaults, **dict(zip(defaults, args)), **kwargs} for args, kwargs in arguments]
+        if kind == "mask" and mask is not None:
+            rows[0]["interpolation"] = mask
+        batch = plain(x)
+        output = each(batch if batch.dim() == 4 else batch[:, None], rows)
+        if output is not NotImplemented:
+            return wrap(output if batch.dim() == 4 else output[:, 0], x)
+    outputs = [call(wrap(part, x), *args, **kwargs) for part, (args, kwargs) in zip(plain(x), arguments)]
+    return wrap(torch.stack([plain(y) for y in outputs]), x)
+
+
+def _are_equal(a: Any, b: Any) -> bool:
+    """Whether arguments without tensors are equal."""
+    values = (*a, *b) if isinstance(a, tuple) else (*a.values(), *b.values())
+    return not any(isinstance(v, Tensor) for v in values) and a == b
 
 
 def takes(function: Callable[..., Any], x: Any) -> bool:

@@ -6,7 +6,7 @@ Values are those of v2's path of tensors. Its matrices and displacements map pix
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from enum import Enum
 from typing import Any
 
@@ -15,10 +15,11 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from kvision import _check
-from kvision._dtype import floats
+from kvision._dtype import compute_dtype, floats
 from kvision._modes import INTERPOLATION, PADDING
 from kvision.geometry import transform
 from kvision.geometry.transform import nearest, sampling
+from kvision.geometry.transform.resize_windows import resized_windows
 from kvision.tv.functional.dispatch import functional
 
 Fill = float | Sequence[float] | None
@@ -68,7 +69,25 @@ def vertical_flip(inpt: Tensor) -> Tensor:
     return inpt.flip(-2)
 
 
-@functional(moves=True, pil=lambda image, top, left, height, width: _crop_pil(image, top, left, height, width))
+def _crop_each(x: Tensor, rows: list[dict[str, Any]]) -> Any:
+    if not _are_inside(x, rows) or len({(row["height"], row["width"]) for row in rows}) > 1:
+        return NotImplemented
+    corners = torch.tensor([[row["top"], row["left"]] for row in rows], device=x.device)[..., None, None, None]
+    i = [torch.arange(n, device=x.device) for n in (*x.shape[:2], rows[0]["height"], rows[0]["width"])]
+    return x[i[0][:, None, None, None], i[1][:, None, None], corners[:, 0] + i[2][:, None], corners[:, 1] + i[3]]
+
+
+def _are_inside(x: Tensor, rows: list[dict[str, Any]]) -> bool:
+    """Whether all windows are parts of their images."""
+    height, width = x.shape[-2:]
+    return all(0 <= row["top"] <= height - row["height"] and 0 <= row["left"] <= width - row["width"] for row in rows)
+
+
+@functional(
+    moves=True,
+    pil=lambda image, top, left, height, width: _crop_pil(image, top, left, height, width),
+    each=_crop_each,
+)
 def crop(inpt: Tensor, top: int, left: int, height: int, width: int) -> Tensor:
     h, w = inpt.shape[-2:]
     bottom, right = top + height, left + width
@@ -217,7 +236,22 @@ def _resized_crop_pil(
     return resize(_crop_pil(image, top, left, height, width), size, *args, **options)
 
 
-@functional(moves=True, pil=_resized_crop_pil, mask=_resized_crop_mask)
+def _resized_crop_each(x: Tensor, rows: list[dict[str, Any]]) -> Any:
+    mode = interpolation_name("resized_crop", rows[0]["interpolation"])
+    computes = x.is_floating_point() or x.dtype == torch.uint8
+    if "nearest" in mode or not (rows[0]["antialias"] and computes and _are_inside(x, rows)):
+        return NotImplemented
+    height, width = _two("resized_crop", "size", rows[0]["size"])
+    matrices = []
+    for row in rows:
+        sx, sy = width / row["width"], height / row["height"]
+        shifts = (0.5 - row["left"]) * sx - 0.5, (0.5 - row["top"]) * sy - 0.5
+        matrices.append([[sx, 0.0, shifts[0]], [0.0, sy, shifts[1]], [0.0, 0.0, 1.0]])
+    matrix = torch.tensor(matrices, dtype=compute_dtype(x), device=x.device)
+    return resized_windows(x, matrix, [height, width], INTERPOLATION[mode], False)
+
+
+@functional(moves=True, pil=_resized_crop_pil, mask=_resized_crop_mask, each=_resized_crop_each)
 def resized_crop(
     inpt: Tensor,
     top: int,
@@ -315,11 +349,11 @@ def _filled(op: str, sample: Any, inpt: Tensor, size: tuple[int, int], interpola
 
 
 def _warp(
-    op: str, inpt: Tensor, matrix: list[list[float]], size: tuple[int, int], interpolation: Any, fill: Fill
+    op: str, inpt: Tensor, matrices: list[list[list[float]]], size: tuple[int, int], interpolation: Any, fill: Fill
 ) -> Tensor:
-    """Sample at `matrix` times the pixels (x, y, 1) of the result; the center of the first one is (0, 0)."""
+    """Sample at a matrix, of all or of each, times the pixels (x, y, 1) of the result; the center of the first is (0, 0)."""
     dtype = torch.float64 if inpt.dtype == torch.float64 else torch.float32
-    to_source = torch.tensor([matrix], dtype=dtype, device=inpt.device)
+    to_source = torch.tensor(matrices, dtype=dtype, device=inpt.device)
 
     def sample(images: Tensor, color: Tensor | None, mode: str) -> Tensor:
         options = (INTERPOLATION[mode], PADDING["fill"], False, False, False)
@@ -354,11 +388,31 @@ def _of_pixels(matrix: list[list[float]], image: Sequence[int], result: Sequence
     return rows
 
 
+def _warp_each(op: str, matrix_of: Callable[..., list[list[float]]]) -> Callable[..., Tensor]:
+    """The kernel of warps by a matrix of each image, which `matrix_of` the size and the arguments gives."""
+
+    def each(x: Tensor, rows: list[dict[str, Any]]) -> Tensor:
+        size = x.shape[-2], x.shape[-1]
+        matrices = [matrix_of(size, **row) for row in rows]
+        return _warp(op, x, matrices, size, rows[0]["interpolation"], rows[0]["fill"])
+
+    return each
+
+
 def _from_center(center: Any, height: int, width: int) -> list[float]:
     return [0.0, 0.0] if center is None else [center[0] - width * 0.5, center[1] - height * 0.5]
 
 
-@functional(moves=True, mask="nearest")
+def _matrix_of_affine(
+    size: tuple[int, int], angle: float, translate: Any, scale: float, shear: Any, center: Any, **_: Any
+) -> list[list[float]]:
+    if scale <= 0:
+        raise ValueError(f"affine: expected a scale above 0, got {scale}")
+    shear = [shear, 0.0] if isinstance(shear, (int, float)) else list(shear) * (2 // len(shear))
+    return _of_pixels(_affine_matrix(_from_center(center, *size), angle, translate, scale, shear), size, size)
+
+
+@functional(moves=True, mask="nearest", each=_warp_each("affine", _matrix_of_affine))
 def affine(
     inpt: Tensor,
     angle: float,
@@ -369,12 +423,9 @@ def affine(
     fill: Fill = None,
     center: Sequence[float] | None = None,
 ) -> Tensor:
-    if scale <= 0:
-        raise ValueError(f"affine: expected a scale above 0, got {scale}")
-    shear = [shear, 0.0] if isinstance(shear, (int, float)) else list(shear) * (2 // len(shear))
     size = inpt.shape[-2], inpt.shape[-1]
-    matrix = _affine_matrix(_from_center(center, *size), angle, translate, scale, shear)
-    return _warp("affine", inpt, _of_pixels(matrix, size, size), size, interpolation, fill)
+    matrix = _matrix_of_affine(size, angle, translate, scale, shear, center)
+    return _warp("affine", inpt, [matrix], size, interpolation, fill)
 
 
 def _expanded_size(matrix: list[list[float]], height: int, width: int) -> tuple[int, int]:
@@ -389,7 +440,15 @@ def _expanded_size(matrix: list[list[float]], height: int, width: int) -> tuple[
     return int(h), int(w)
 
 
-@functional(moves=True, mask="nearest")
+def _rotation(size: tuple[int, int], angle: float, center: Any) -> list[list[float]]:
+    return _affine_matrix(_from_center(center, *size), -angle, (0.0, 0.0), 1.0, (0.0, 0.0))
+
+
+def _matrix_of_rotation(size: tuple[int, int], angle: float, center: Any, **_: Any) -> list[list[float]]:
+    return _of_pixels(_rotation(size, angle, center), size, size)
+
+
+@functional(moves=True, mask="nearest", each=_warp_each("rotate", _matrix_of_rotation))
 def rotate(
     inpt: Tensor,
     angle: float,
@@ -405,9 +464,9 @@ def rotate(
             return inpt.clone()
         if angle == 180 or (angle in (90, 270) and (expand or height == width)):
             return inpt.rot90(int(angle) // 90, (-2, -1))
-    matrix = _affine_matrix(_from_center(center, height, width), -angle, (0.0, 0.0), 1.0, (0.0, 0.0))
+    matrix = _rotation((height, width), angle, center)
     size = _expanded_size(matrix, height, width) if expand else (height, width)
-    return _warp("rotate", inpt, _of_pixels(matrix, (height, width), size), size, interpolation, fill)
+    return _warp("rotate", inpt, [_of_pixels(matrix, (height, width), size)], size, interpolation, fill)
 
 
 def perspective_coefficients(
@@ -434,7 +493,17 @@ def _coefficients(startpoints: Any, endpoints: Any, coefficients: Any) -> Sequen
     return list(coefficients)
 
 
-@functional(moves=True, mask="nearest")
+def _matrix_of_perspective(
+    size: tuple[int, int], startpoints: Any, endpoints: Any, coefficients: Any, **_: Any
+) -> list[list[float]]:
+    a, b, c, d, e, f, g, h = _coefficients(startpoints, endpoints, coefficients)
+    # The coefficients are of coordinates from the corner of the first pixel, half a pixel before its center.
+    k = g / 2 + h / 2 + 1
+    rows = [[a, b, a / 2 + b / 2 + c], [d, e, d / 2 + e / 2 + f]]
+    return [*[[r - 0.5 * s for r, s in zip(row, (g, h, k))] for row in rows], [g, h, k]]
+
+
+@functional(moves=True, mask="nearest", each=_warp_each("perspective", _matrix_of_perspective))
 def perspective(
     inpt: Tensor,
     startpoints: Sequence[Sequence[int]] | None,
@@ -443,21 +512,27 @@ def perspective(
     fill: Fill = None,
     coefficients: Sequence[float] | None = None,
 ) -> Tensor:
-    a, b, c, d, e, f, g, h = _coefficients(startpoints, endpoints, coefficients)
-    # The coefficients are of coordinates from the corner of the first pixel, half a pixel before its center.
-    k = g / 2 + h / 2 + 1
-    rows = [[a, b, a / 2 + b / 2 + c], [d, e, d / 2 + e / 2 + f]]
-    matrix = [[r - 0.5 * s for r, s in zip(row, (g, h, k))] for row in rows]
     size = inpt.shape[-2], inpt.shape[-1]
-    return _warp("perspective", inpt, [*matrix, [g, h, k]], size, interpolation, fill)
+    matrix = _matrix_of_perspective(size, startpoints, endpoints, coefficients)
+    return _warp("perspective", inpt, [matrix], size, interpolation, fill)
 
 
-@functional(moves=True, mask="nearest")
+def _elastic_each(x: Tensor, rows: list[dict[str, Any]]) -> Tensor:
+    displacements = torch.cat([row["displacement"] for row in rows])
+    return _elastic(x, displacements, rows[0]["interpolation"], rows[0]["fill"])
+
+
+@functional(moves=True, mask="nearest", each=_elastic_each)
 def elastic(
     inpt: Tensor, displacement: Tensor, interpolation: InterpolationMode | str | int = "bilinear", fill: Fill = None
 ) -> Tensor:
+    _check.shape("elastic", "displacement", displacement, 1, *inpt.shape[-2:], 2)
+    return _elastic(inpt, displacement, interpolation, fill)
+
+
+def _elastic(inpt: Tensor, displacement: Tensor, interpolation: Any, fill: Fill) -> Tensor:
+    """By a displacement (B or 1, H, W, 2) of each image or of all."""
     height, width = inpt.shape[-2:]
-    _check.shape("elastic", "displacement", displacement, 1, height, width, 2)
     dtype = torch.float64 if inpt.dtype == torch.float64 else torch.float32
     moved = displacement.to(inpt.device, dtype)
     x = moved[..., 0] * (width / 2) + torch.arange(width, device=inpt.device)

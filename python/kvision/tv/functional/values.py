@@ -8,6 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from kvision.augmentation.erase import is_erased
 from kvision.core.exceptions import TypeCheckError
 from kvision.tv.functional.dispatch import functional
 from kvision.tv.inputs import channels_of, height_and_width, kind_of, pil_to_tensor, to_pil_image, tv_tensor
@@ -89,7 +90,16 @@ def gaussian_noise(inpt: Tensor, mean: float = 0.0, sigma: float = 0.1, clip: bo
     return (output.clamp_(0, 255) if clip else output).to(torch.uint8)
 
 
-@functional()
+def _erase_each(x: Tensor, rows: list[dict[str, Any]]) -> Any:
+    colors = [row["v"].flatten() for row in rows]
+    if rows[0]["inplace"] or any(len(c) not in (1, x.shape[1]) for c in colors):
+        return NotImplemented
+    boxes = torch.tensor([[row[name] for name in ("j", "i", "w", "h")] for row in rows], device=x.device)
+    fill = torch.stack(colors).to(x.device, x.dtype)[..., None, None]
+    return torch.where(is_erased(x, boxes), fill, x)
+
+
+@functional(each=_erase_each)
 def erase(inpt: Tensor, i: int, j: int, h: int, w: int, v: Tensor, inplace: bool = False) -> Tensor:
     output = inpt if inplace else inpt.clone()
     output[..., i : i + h, j : j + w] = v

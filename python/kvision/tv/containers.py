@@ -47,16 +47,16 @@ class _Container(Transform):
         needed = self._needed(flat)
         samples = count_samples(flat, needed) if self.draws else 0
         if not samples:
-            return self._apply(self._choice(), inputs)
+            return self._run(self._choice(), inputs)
         by_choice: dict[tuple[int, ...], list[int]] = {}
         for i in range(samples):
             by_choice.setdefault(tuple(self._choice()), []).append(i)
         if len(by_choice) == 1:
-            return self._apply(*by_choice, inputs)
-        parts = [None] * samples
+            return self._run(next(iter(by_choice)), inputs)
+        parts: list[Any] = [None] * samples
         for choice, chosen in by_choice.items():
             part = tree_unflatten([at(x, chosen) if is_needed else x for x, is_needed in zip(flat, needed)], spec)
-            outputs = tree_flatten(self._apply(choice, part if len(inputs) > 1 else (part,)))[0]
+            outputs = tree_flatten(self._run(choice, part if len(inputs) > 1 else (part,)))[0]
             for sample, i in zip(split(outputs, needed, len(chosen)), chosen):
                 parts[i] = sample
         return tree_unflatten(join(parts, flat, needed), spec)
@@ -65,7 +65,7 @@ class _Container(Transform):
         """The transforms that are applied, in turn."""
         raise NotImplementedError
 
-    def _apply(self, choice: Sequence[int], inputs: tuple[Any, ...]) -> Any:
+    def _run(self, choice: Sequence[int], inputs: tuple[Any, ...]) -> Any:
         return apply_all([self.transforms[i] for i in choice], inputs)
 
     def extra_repr(self) -> str:
@@ -101,7 +101,7 @@ class Compose(_Container):
     def forward(self, *inputs: Any) -> Any:
         if self._batch(inputs) is None:
             return apply_all(self.transforms, inputs)
-        transforms = list(self.transforms)
+        transforms: list[Any] = list(self.transforms)
         while transforms:
             steps = self._steps(transforms, inputs)
             if len(steps) > 1:
@@ -127,7 +127,7 @@ class Compose(_Container):
             return steps
         dtype = image.dtype
         for t in transforms:
-            step = t.step(dtype, image.shape[1]) if type(t).__module__.startswith("kvision.tv.") else None
+            step = t._step(dtype, image.shape[1]) if type(t).__module__.startswith("kvision.tv.") else None
             if step is None:
                 break
             steps.append(step)

@@ -51,7 +51,7 @@ class RandomHorizontalFlip(RandomTransform):
     def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
         return self._call_kernel(F.horizontal_flip, inpt)
 
-    def step(self, dtype: torch.dtype, channels: int) -> Step | None:
+    def _step(self, dtype: torch.dtype, channels: int) -> Step | None:
         return "RandomHorizontalFlip", (("p", self.p),)
 
 
@@ -71,7 +71,7 @@ class RandomVerticalFlip(RandomTransform):
     def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
         return self._call_kernel(F.vertical_flip, inpt)
 
-    def step(self, dtype: torch.dtype, channels: int) -> Step | None:
+    def _step(self, dtype: torch.dtype, channels: int) -> Step | None:
         return "RandomVerticalFlip", (("p", self.p),)
 
 
@@ -351,7 +351,7 @@ class RandomResizedCrop(Transform):
         options = {"interpolation": self.interpolation, "antialias": self.antialias}
         return self._call_kernel(F.resized_crop, inpt, **params, size=self.size, **options)
 
-    def step(self, dtype: torch.dtype, channels: int) -> Step | None:
+    def _step(self, dtype: torch.dtype, channels: int) -> Step | None:
         if dtype not in (torch.uint8, torch.float32) or not self.antialias:
             return None
         if interpolation_name("RandomResizedCrop", self.interpolation) != "bilinear":

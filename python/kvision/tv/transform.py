@@ -87,7 +87,7 @@ class Transform(nn.Module):
         """Transform an input by the parameters."""
         raise NotImplementedError
 
-    def step(self, dtype: torch.dtype, channels: int) -> Step | None:
+    def _step(self, dtype: torch.dtype, channels: int) -> Step | None:
         """What this is of kvision.augmentation for a batch of images: a class and its arguments, or "dtype" and the type."""
         return None
 

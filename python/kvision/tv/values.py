@@ -125,7 +125,7 @@ class Normalize(Transform):
     def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
         return self._call_kernel(F.normalize, inpt, self.mean, self.std, self.inplace)
 
-    def step(self, dtype: torch.dtype, channels: int) -> Step | None:
+    def _step(self, dtype: torch.dtype, channels: int) -> Step | None:
         fits = dtype == torch.float32 and channels == len(self.mean) == len(self.std) == 3 and max(self.mean) <= 1
         if not fits or self.inplace or not all(self.std):
             return None
@@ -165,7 +165,7 @@ class ToDtype(Transform):
             raise ValueError(f"ToDtype: expected a dtype of {type(inpt).__name__}, or of 'others', got {self.dtype}")
         return inpt if dtype is None else self._call_kernel(F.to_dtype, inpt, dtype=dtype, scale=self.scale)
 
-    def step(self, dtype: torch.dtype, channels: int) -> Step | None:
+    def _step(self, dtype: torch.dtype, channels: int) -> Step | None:
         return ("dtype", torch.float32) if self.dtype == torch.float32 and self.scale and dtype == torch.uint8 else None
 
 

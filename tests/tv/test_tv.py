@@ -200,8 +200,11 @@ def test_a_seed_gives_what_v2_gives(rows: Any, kind: str) -> None:
     sample = samples()[kind]
     from torchvision.transforms import v2
 
+    exact_masks = "interpolation" in inspect.signature(v2.functional.resize_mask).parameters  # not in torchvision 0.26
     found = []
     for name, args, options in rows:
+        if options.get("interpolation") == "nearest-exact" and kind == "detection" and not exact_masks:
+            continue
         if name == "RandomSolarize" and kind in ("detection", "video"):
             args = (100.0,)
         for seed in range(3):

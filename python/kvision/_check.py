@@ -398,6 +398,14 @@ def number(op: str, name: str, value: Any, minimum: float = -math.inf) -> float:
     return float(value)
 
 
+def fraction(op: str, name: str, value: Any) -> float:
+    """`value` as a float; raise unless it is a number within 0 and 1, as probabilities and opacities are."""
+    result = number(op, name, value)
+    if not 0 <= result <= 1:
+        raise ValueCheckError(f"{op}: expected {name} within 0 and 1, got {value}", actual_value=value)
+    return result
+
+
 def fits_float(value: float) -> bool:
     """Whether float32 has the number, up to rounding, or it is infinite."""
     return -LARGEST_FLOAT <= value <= LARGEST_FLOAT or value in (math.inf, -math.inf)

@@ -94,10 +94,7 @@ class RandomChannelDropout(IntensityAugmentationBase2D, keeps_contract=True):
         **options: Any,
     ) -> None:
         super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
-        fill_value = _check.number("RandomChannelDropout", "fill_value", fill_value)
-        if not 0 <= fill_value <= 1:
-            raise ValueCheckError(f"RandomChannelDropout: expected fill_value within 0 and 1, got {fill_value}")
-        self.fill_value = float(fill_value)
+        self.fill_value = _check.fraction("RandomChannelDropout", "fill_value", fill_value)
         self._param_generator = ChannelDropoutGenerator(num_drop_channels)
 
     def apply_transform(

@@ -18,7 +18,6 @@ from kvision.tv.transform import (
     integer,
     pair,
     permutation,
-    probability,
     size_of,
     two,
     uniform,
@@ -48,7 +47,7 @@ class Grayscale(Transform):
 
 
 class RandomGrayscale(RandomTransform):
-    """Make gray of colors with a probability, in as many channels.
+    """Make gray of colors with a in as many channels.
 
     Args:
         p: the probability.
@@ -184,7 +183,7 @@ class RandomPhotometricDistort(_Jitter):
         op = "RandomPhotometricDistort"
         self.brightness, self.contrast = pair(op, "brightness", brightness), pair(op, "contrast", contrast)
         self.saturation, self.hue = pair(op, "saturation", saturation), pair(op, "hue", hue)
-        self.p = probability(op, p)
+        self.p = _check.fraction(op, "p", p)
 
     def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
         channels = channels_in(flat_inputs)

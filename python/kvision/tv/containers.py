@@ -9,6 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from kvision import _check
 from kvision._torch_compat import tree_flatten, tree_unflatten
 from kvision.tv.inputs import kind_of, plain, wrap
 from kvision.tv.transform import (
@@ -19,7 +20,6 @@ from kvision.tv.transform import (
     draws_once,
     join,
     permutation,
-    probability,
     split,
     unit,
 )
@@ -188,7 +188,7 @@ class RandomApply(_Container):
 
     def __init__(self, transforms: Sequence[Callable[..., Any]] | nn.ModuleList, p: float = 0.5) -> None:
         super().__init__(transforms)
-        self.p = probability("RandomApply", p)
+        self.p = _check.fraction("RandomApply", "p", p)
 
     def _choice(self) -> Sequence[int]:
         return () if unit() >= self.p else range(len(self.transforms))

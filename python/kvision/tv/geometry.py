@@ -610,8 +610,7 @@ class RandomPerspective(RandomTransform):
         fill: Fill = 0,
     ) -> None:
         super().__init__(p)
-        if not 0 <= distortion_scale <= 1:
-            raise ValueError(f"RandomPerspective: expected distortion_scale in [0, 1], got {distortion_scale}")
+        _check.fraction("RandomPerspective", "distortion_scale", distortion_scale)
         self.distortion_scale, self.interpolation, self.fill = distortion_scale, interpolation, fill
 
     def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:

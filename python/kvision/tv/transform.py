@@ -203,17 +203,10 @@ class RandomTransform(Transform):
 
     def __init__(self, p: float = 0.5) -> None:
         super().__init__()
-        self.p = probability(type(self).__name__, p)
+        self.p = _check.fraction(type(self).__name__, "p", p)
 
     def _drawn(self, inputs: list[Any]) -> dict[str, Any] | None:
         return super()._drawn(inputs) if unit() < self.p else None
-
-
-def probability(op: str, p: float) -> float:
-    p = _check.number(op, "p", p)
-    if not 0 <= p <= 1:
-        raise ValueError(f"{op}: expected p in [0, 1], got {p}")
-    return p
 
 
 def apply_calls(x: Any, calls: list[list[Any]]) -> Any:

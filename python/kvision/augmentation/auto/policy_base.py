@@ -258,10 +258,8 @@ def _entry(op: str, entry: Sequence[Any]) -> Entry:
     name, probability, low, high = entry
     if name not in OPERATIONS:
         raise ValueCheckError(f"{op}: expected operations to be one of {', '.join(OPERATIONS)}, got {name!r}")
-    probability = _check.number(op, f"the probability of {name!r}", probability)
+    probability = _check.fraction(op, f"the probability of {name!r}", probability)
     low, high = (_check.number(op, f"the values of {name!r}", value) for value in (low, high))
-    if not 0 <= probability <= 1:
-        raise ValueCheckError(f"{op}: expected the probability of {name!r} within 0 and 1, got {probability}")
     return Entry(name, probability, low, high)
 
 

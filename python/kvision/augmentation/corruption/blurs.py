@@ -12,7 +12,7 @@ from kvision import _check
 from kvision._choices import Border
 from kvision._dtype import compute_dtype
 from kvision.augmentation import maps, ranges
-from kvision.augmentation.corruption.noises import in_type_of
+from kvision.augmentation.corruption.noises import params_in_type_of
 from kvision.augmentation.engine import Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
 from kvision.augmentation.random_generator.mapped import MappedGenerator, NoiseMap
@@ -292,5 +292,5 @@ class GlassBlur(IntensityAugmentationBase2D, keeps_contract=True):
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
-        (u,) = in_type_of(params, input, "offsets")
+        (u,) = params_in_type_of(params, input, "offsets")
         return glass(input, u, self.sigma, self.max_delta)

@@ -24,7 +24,7 @@ from kvision.core.exceptions import ShapeError
 _GAMMA = 2.2  # of the encoding that shot noise undoes
 
 
-def in_type_of(params: Params, x: Tensor, *names: str) -> list[Tensor]:
+def params_in_type_of(params: Params, x: Tensor, *names: str) -> list[Tensor]:
     """Parameters in the type that `x` computes in; vectors (B,) broadcast with images."""
     own = (params[name].to(x.device, compute_dtype(x)) for name in names)
     return [per_sample(value, x) if value.dim() == 1 else value for value in own]
@@ -70,7 +70,7 @@ class ShotNoise(IntensityAugmentationBase2D, keeps_contract=True):
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
-        scale, u = in_type_of(params, input, "scale", "noise")
+        scale, u = params_in_type_of(params, input, "scale", "noise")
         light = clamp(input, 0, 1).to(scale.dtype) ** _GAMMA
         counts = poisson_quantile(u, light.detach() / scale)
         return clamp(counts * scale, 0, 1) ** (1 / _GAMMA)
@@ -122,7 +122,7 @@ class ISONoise(IntensityAugmentationBase2D, keeps_contract=True):
             raise ShapeError(
                 f"ISONoise: expected images with 3 channels, got {tuple(input.shape)}{_check.channels_advice(input.shape)}"
             )
-        shift, intensity, u, normal = in_type_of(
+        shift, intensity, u, normal = params_in_type_of(
             params, input, "color_shift", "intensity", "luminance_noise", "color_noise"
         )
         hue, lightness, saturation = rgb_to_hls(clamp(input, 0, 1).to(u.dtype)).split(1, 1)
@@ -176,7 +176,7 @@ class MultiplicativeNoise(IntensityAugmentationBase2D, keeps_contract=True):
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
-        (u,) = in_type_of(params, input, "noise")
+        (u,) = params_in_type_of(params, input, "noise")
         low, high = self._range.low, self._range.high
         return clamp(input * (low + (high - low) * u), 0, 1)
 
@@ -217,5 +217,5 @@ class SpeckleNoise(IntensityAugmentationBase2D, keeps_contract=True):
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
-        std, normal = in_type_of(params, input, "std", "noise")
+        std, normal = params_in_type_of(params, input, "std", "noise")
         return clamp(input + input * (std * normal), 0, 1)

@@ -13,7 +13,7 @@ from kvision._constants import constant
 from kvision._dtype import compute_dtype
 from kvision.augmentation import ranges
 from kvision.augmentation.corruption.blurs import reach_of
-from kvision.augmentation.corruption.noises import in_type_of
+from kvision.augmentation.corruption.noises import params_in_type_of
 from kvision.augmentation.engine import Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
 from kvision.augmentation.random_generator.mapped import MappedGenerator, NoiseMap
@@ -72,7 +72,7 @@ class RandomFog(IntensityAugmentationBase2D, keeps_contract=True):
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
-        plasma, amount = in_type_of(params, input, "plasma", "intensity")
+        plasma, amount = params_in_type_of(params, input, "plasma", "intensity")
         return fogged(clamp(input, 0, 1), plasma, amount)
 
 
@@ -159,7 +159,7 @@ class RandomFrost(IntensityAugmentationBase2D, keeps_contract=True):
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
-        of_image, of_frost = in_type_of(params, input, "image_weight", "frost_weight")
+        of_image, of_frost = params_in_type_of(params, input, "image_weight", "frost_weight")
         return clamp(of_image * input + of_frost * cut_textures(self, params, input), 0, 1)
 
 
@@ -227,7 +227,7 @@ class Spatter(IntensityAugmentationBase2D, keeps_contract=True):
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
         names = ("mean", "std", "cutout_threshold", "noise")
-        mean, std, threshold, noise = in_type_of(params, input, *names)
+        mean, std, threshold, noise = params_in_type_of(params, input, *names)
         smooth, soft = (params[name].to(noise)[:, None].expand(-1, 2) for name in ("gauss_sigma", "intensity"))
         return muddy(input, mean + std * noise, threshold, smooth, soft, self._reaches, self.color)
 

@@ -16,13 +16,6 @@ from kvision.core.exceptions import ValueCheckError
 __all__ = ["AtLeastOneBBoxRandomCrop", "RandomCropNearBBox", "RandomSizedBBoxSafeCrop"]
 
 
-def _fraction(op: str, name: str, value: Any) -> float:
-    number = _check.scalar(op, name, value)
-    if not 0 <= number <= 1:
-        raise ValueCheckError(f"{op}: expected {name} within 0 and 1, got {value}")
-    return float(number)
-
-
 def _one_box(boxes: Tensor, is_box: Tensor, number: Tensor) -> tuple[Tensor, Tensor]:
     """One of the boxes (B, N, 4) of each image, (B, 4), by a random number (B,), and whether it has one, (B,)."""
     at = pick(is_box, number).clamp(max=boxes.shape[1] - 1)
@@ -112,7 +105,9 @@ class RandomSizedBBoxSafeCrop(WindowCrop):
         keepdim: bool = False,
         **options: Any,
     ) -> None:
-        generator = _SafeGenerator((height, width), _fraction("RandomSizedBBoxSafeCrop", "erosion_rate", erosion_rate))
+        generator = _SafeGenerator(
+            (height, width), _check.fraction("RandomSizedBBoxSafeCrop", "erosion_rate", erosion_rate)
+        )
         given = dict(same_on_batch=same_on_batch, keepdim=keepdim, **options)
         super().__init__(generator, p, resample, align_corners, antialias, **given)
 
@@ -183,7 +178,7 @@ class AtLeastOneBBoxRandomCrop(WindowCrop):
         **options: Any,
     ) -> None:
         op = "AtLeastOneBBoxRandomCrop"
-        generator = _OneBoxGenerator((height, width), _fraction(op, "erosion_factor", erosion_factor))
+        generator = _OneBoxGenerator((height, width), _check.fraction(op, "erosion_factor", erosion_factor))
         super().__init__(generator, p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
 
 
@@ -258,6 +253,6 @@ class RandomCropNearBBox(WindowCrop):
         op = "RandomCropNearBBox"
         if not isinstance(max_part_shift, (tuple, list)) or len(max_part_shift) != 2:
             raise ValueCheckError(f"{op}: expected max_part_shift to be two fractions, got {max_part_shift!r}")
-        down, across = (_fraction(op, "max_part_shift", x) for x in max_part_shift)
+        down, across = (_check.fraction(op, "max_part_shift", x) for x in max_part_shift)
         given = dict(same_on_batch=same_on_batch, keepdim=keepdim, **options)
         super().__init__(_NearGenerator(size, (down, across)), p, resample, align_corners, antialias, **given)

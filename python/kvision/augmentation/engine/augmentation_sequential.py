@@ -155,10 +155,7 @@ class AugmentationSequential(ImageSequential):
             )
         if not min_box_area >= 0:
             raise ValueCheckError(f"AugmentationSequential: expected min_box_area of 0 or more, got {min_box_area}")
-        if not 0 <= min_box_visibility <= 1:
-            raise ValueCheckError(
-                f"AugmentationSequential: expected min_box_visibility within 0 and 1, got {min_box_visibility}"
-            )
+        _check.fraction(op, "min_box_visibility", min_box_visibility)
         self._names = parse_names("AugmentationSequential", keys)
         self._warned: set[str] = set()  # names of entries that pass through
         if clip_boxes not in (False, True, "each"):

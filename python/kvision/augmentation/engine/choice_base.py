@@ -51,9 +51,7 @@ class ChoiceBase(ImageSequential):
         options = {"keepdim": keepdim, "generator": generator, "return_transform": return_transform}
         super().__init__(*children, same_on_batch=same_on_batch, **options)  # type: ignore[arg-type]
         op = type(self).__name__
-        self.p = _check.number(op, "p", p, minimum=0.0)
-        if self.p > 1:
-            raise ValueCheckError(f"{op}: expected p within 0 and 1, got {p}")
+        self.p = _check.fraction(op, "p", p)
         if not children:
             raise ValueCheckError(f"{op}: expected at least one child")
         for module in self.modules():

@@ -24,7 +24,7 @@ from kvision.augmentation.engine.contribution import Colors, Contribution
 from kvision.augmentation.engine.execution import Params, Shape
 from kvision.augmentation.transforms import Transform
 from kvision.augmentation.warp_and_color import ColorPart, Pass, make_pass
-from kvision.core.exceptions import TypeCheckError, ValueCheckError
+from kvision.core.exceptions import TypeCheckError
 
 if TYPE_CHECKING:
     from kvision.augmentation.random_generator.base import RandomGeneratorBase
@@ -103,9 +103,7 @@ class Declaration(KeepsArguments):
         for name, value in (("p", p), ("p_batch", p_batch)):
             if isinstance(value, bool) or not hasattr(value, "__float__"):
                 raise TypeCheckError(f"{op}: expected {name} to be a number, got {value!r}")
-            if not 0 <= float(value) <= 1:
-                raise ValueCheckError(f"{op}: expected {name} within 0 and 1, got {value}")
-        self.p, self.p_batch = float(p), float(p_batch)
+        self.p, self.p_batch = _check.fraction(op, "p", float(p)), _check.fraction(op, "p_batch", float(p_batch))
         self.same_on_batch = _check.switch(op, "same_on_batch", same_on_batch)
         self.keepdim = _check.switch(op, "keepdim", keepdim)
         self.generator, self.return_transform = generator, return_transform

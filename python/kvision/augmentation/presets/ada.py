@@ -9,6 +9,7 @@ import torch
 from torch import Generator, Tensor, nn
 
 import kvision.augmentation as A
+from kvision import _check
 from kvision._choices import OutputType
 from kvision.augmentation.columns import draw_columns
 from kvision.augmentation.draws import Request, uniform
@@ -73,8 +74,7 @@ class AdaptiveDiscriminatorAugmentation(AugmentationSequential):
         **kwargs: Any,
     ) -> None:
         for name, value in (("initial_p", initial_p), ("max_p", max_p), ("target_real_acc", target_real_acc)):
-            if not 0 <= value <= 1:
-                raise ValueCheckError(f"{type(self).__name__}: expected {name} within 0 and 1, got {value}")
+            _check.fraction(type(self).__name__, name, value)
         augmentations = args or (
             A.RandomHorizontalFlip(p=1.0),
             A.RandomRotation90((0, 3), p=1.0),

@@ -8,7 +8,6 @@ import torch
 from torch import Tensor
 
 from kvision import _check
-from kvision.core.exceptions import ValueCheckError
 from kvision.geometry.calibration.distortion import undistort_points
 from kvision.geometry.conversions.rotations import axis_angle_to_rotation_matrix, rotation_matrix_to_axis_angle
 from kvision.geometry.liegroup.so3 import skew
@@ -105,8 +104,8 @@ def stereo_rectify(
         (height, width) if new_image_size is None else _check.pair(op, "new_image_size", new_image_size)
     )
     _check.flag(op, "zero_disparity", zero_disparity)
-    if alpha is not None and not 0 <= (alpha := _check.number(op, "alpha", alpha)) <= 1:
-        raise ValueCheckError(f"{op}: expected alpha in [0, 1], got {alpha}", actual_value=alpha)
+    if alpha is not None:
+        alpha = _check.fraction(op, "alpha", alpha)
     cameras = camera_matrix1, camera_matrix2
     dists = tuple(K.new_zeros(4) if dist is None else dist for K, dist in zip(cameras, (dist1, dist2)))
 

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import os
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
@@ -30,6 +31,9 @@ import kvision as K
 import raw_calls
 from benchmarks.sample_calls.model import Axes, Size
 from kvision import _ops
+
+# All cases of tests that take a part of them in CI, and more of random ones.
+THOROUGH = os.environ.get("HYPOTHESIS_PROFILE") == "thorough"
 
 # The one table of tolerances: (relative, absolute) by the type results are stored in.
 TOLERANCES = {

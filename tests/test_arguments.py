@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import doctest
 import inspect
-import os
 import random
 import re
 import warnings
@@ -29,11 +28,10 @@ import kvision as K
 from benchmarks.sample_calls import SampleCall, Size, sample_calls, sample_modules
 from example_calls import HOMES, Call, copied, example_calls
 from kvision.core.exceptions import DeviceError, TypeCheckError
+from op_tests import THOROUGH
 from test_docstrings import public_objects
 
 pytestmark = pytest.mark.interface
-
-THOROUGH = os.environ.get("HYPOTHESIS_PROFILE") == "thorough"
 
 
 def tenth_of(names: Iterable[str]) -> list[str]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import random
 import threading
 from collections.abc import Callable
@@ -16,7 +15,7 @@ from torch.fx.experimental.proxy_tensor import make_fx
 
 import kvision as K
 from benchmarks.sample_calls import SampleCall, Size, sample_calls
-from op_tests import assert_close, weighted_sums
+from op_tests import THOROUGH, assert_close, weighted_sums
 
 SIZES = ((4, 6), (8, 10), (24, 32))
 CALLS = {call.name: call for call in sample_calls() if call.axes}
@@ -30,7 +29,7 @@ OF_VALUES = ("crop_by_boxes", "crop_by_boxes3d", "crop_by_indices")  # the size 
 
 def some(names: list[str], share: int) -> list[str]:
     """Every one, or in shorter runs than HYPOTHESIS_PROFILE=thorough one of `share`, always the same ones."""
-    if os.environ.get("HYPOTHESIS_PROFILE") == "thorough":
+    if THOROUGH:
         return names
     return sorted(random.Random(0).sample(names, len(names) // share))
 
@@ -144,11 +143,7 @@ def test_compiled_transforms(name: str, transform: str, device: torch.device) ->
     """One graph of a call and its derivative, in either mode."""
     if transform == "jvp" and "zca" in name:
         pytest.skip("breaks the graph, where the eager call is right")
-    if (
-        transform == "jvp"
-        and name == "geometry.undistort_points"
-        and os.environ.get("HYPOTHESIS_PROFILE") != "thorough"
-    ):
+    if name == "geometry.undistort_points" and not THOROUGH:
         pytest.skip("a graph of twenty steps takes minutes")
     call = CALLS[name]
     sums, values = sums_of(call, 2, device)

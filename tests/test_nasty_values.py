@@ -6,7 +6,6 @@ those of float64, whose exponents reach further. `HYPOTHESIS_PROFILE=thorough` t
 
 from __future__ import annotations
 
-import os
 import random
 from collections.abc import Iterator
 from typing import Any
@@ -18,7 +17,7 @@ from torch import Tensor
 import kvision as K
 from benchmarks.sample_calls import Size
 from benchmarks.sweep import all_calls, flat
-from op_tests import TOLERANCES
+from op_tests import THOROUGH, TOLERANCES
 
 pytestmark = pytest.mark.sweep
 
@@ -78,7 +77,7 @@ NOT_CALLED = {
 
 def names() -> list[str]:
     every = [name for name in CALLS if name not in NOT_CALLED]
-    if os.environ.get("HYPOTHESIS_PROFILE") == "thorough":
+    if THOROUGH:
         return every
     return random.Random(0).sample(every, len(every) // 10)
 

@@ -252,8 +252,15 @@ print(megabytes() - before, y.data_ptr() % 64)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("shape", [(12, 3, 250, 318), (1, 3, 480, 640), (1, 1, 200, 200)], ids=str)
-@pytest.mark.parametrize("call", ["filters.box_blur(x, 3)", "geometry.hflip(x)"])
+@pytest.mark.parametrize(
+    "call, shape",
+    [
+        ("filters.box_blur(x, 3)", (12, 3, 250, 318)),
+        ("filters.box_blur(x, 3)", (1, 3, 480, 640)),
+        ("geometry.hflip(x)", (1, 1, 200, 200)),
+    ],
+    ids=str,
+)
 def test_memory_of_results_does_not_fault_anew(call, shape, backend):
     if backend == "reference":
         pytest.skip("the memory of the reference is torch's")

@@ -7,7 +7,6 @@ import functools
 import inspect
 import io
 import json
-import os
 import pickle
 import random
 from typing import Any
@@ -21,7 +20,7 @@ from torch.utils import _pytree as pytree
 import kvision.augmentation as A
 from benchmarks.sample_calls.augmentations import GEOMETRIC, IMAGES, Augmentation
 from kvision.augmentation.engine import AugmentationBase
-from op_tests import does_not_wait
+from op_tests import THOROUGH, does_not_wait
 
 BASES = (
     "AugmentationBase",
@@ -30,7 +29,6 @@ BASES = (
     "IntensityAugmentation",
     "RigidAffineAugmentation",
 )
-THOROUGH = os.environ.get("HYPOTHESIS_PROFILE") == "thorough"
 RANDOM = [case for case in IMAGES if not case.fixed]
 COMPOSED = [case for case in IMAGES if case.composed]
 SLOW = [c for c in IMAGES if not c.composed] + (

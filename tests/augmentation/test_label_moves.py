@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 import kvision.augmentation as A
+from op_tests import THOROUGH
 
 pytestmark = pytest.mark.interface
 
@@ -103,10 +104,11 @@ def test_labels_are_where_pixels_read_them(name: str, options: dict[str, Any], d
     assert len(overlaps) > 3 and min(overlaps) >= 0.9
 
 
+SIZES = (256, 256), (720, 1280), (640, 640), (1024, 1024), (1080, 1920), (2160, 3840)
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "size", [(256, 256), (640, 640), (1024, 1024), (720, 1280), (1080, 1920), (2160, 3840)], ids=str
-)
+@pytest.mark.parametrize("size", SIZES if THOROUGH else SIZES[:2], ids=str)
 def test_boxes_under_the_default_elastic_transform(size: tuple[int, int], device: torch.device) -> None:
     overlaps = sorted(
         x for seed in range(12) for x in check_labels(CHAINS["elastic"](), size, (200, 160), seed, device)

@@ -12,6 +12,7 @@ from torch import Tensor
 
 import kvision as K
 import kvision.augmentation as A
+from op_tests import THOROUGH
 
 CLASSES = {
     "RandomMixUpV2": {},
@@ -68,7 +69,7 @@ PARTNERS = {
 @pytest.mark.parametrize("p", [0.2, 0.5, 1.0])
 @pytest.mark.parametrize("batch", [3, 8])
 @pytest.mark.parametrize("name", PARTNERS)
-@pytest.mark.parametrize("seeds", [40, pytest.param(4000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("seeds", [40, pytest.param(4000 if THOROUGH else 1000, marks=pytest.mark.slow)])
 def test_partners_are_a_random_permutation_of_the_chosen(seeds: int, name: str, batch: int, p: float) -> None:
     partners_of, options = PARTNERS[name]
     same = {} if name == "RandomMosaic" else {"same_on_batch": True}

@@ -12,7 +12,6 @@ up to 1.6 pixels with resample="each", and below half a pixel for the same draws
 from __future__ import annotations
 
 import copy
-import os
 import pickle
 import threading
 from collections import Counter
@@ -27,11 +26,11 @@ from torch.utils.data import DataLoader, Dataset
 
 from kvision import _backend
 from kvision.core.exceptions import ShapeError
+from op_tests import THOROUGH
 from random_containers import KINDS, Case, center_of, is_whole, make_case
 
 pytestmark = [pytest.mark.interface]
 
-THOROUGH = os.environ.get("HYPOTHESIS_PROFILE") == "thorough"
 SHORT = {"images": range(8), "videos": range(2), "volumes": range(3), "mixes": range(4)}
 LONG = {kind: range(len(short), 3000 if THOROUGH else 10 * len(short)) for kind, short in SHORT.items()}
 
@@ -239,7 +238,7 @@ def test_random_containers_in_workers(method: str, record_property: Callable[[st
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("size", [(256, 320), (1024, 1280), (2048, 2048)], ids=str)
+@pytest.mark.parametrize("size", [(256, 320), (1024, 1280), *([(2048, 2048)] if THOROUGH else [])], ids=str)
 def test_random_containers_of_large_images(
     size: tuple[int, int], device: torch.device, record_property: Callable[[str, object], None]
 ) -> None:

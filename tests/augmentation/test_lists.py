@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import os
+import random
+
 import pytest
 import torch
+from torch import Tensor
 
+from benchmarks.sample_calls.augmentations import IMAGES
 from kvision import augmentation as A
 from op_tests import assert_close
 
+THOROUGH = os.environ.get("HYPOTHESIS_PROFILE") == "thorough"
+SOME_IMAGES = IMAGES if THOROUGH else random.Random(2).sample(IMAGES, len(IMAGES) // 10)
 SIZES = ((40, 56), (64, 31), (33, 33), (90, 70))
 
 
@@ -100,19 +107,181 @@ def test_plans_do_not_depend_on_the_sizes(device):
     assert len(counts) == 1
 
 
-def test_what_makes_no_batch_is_refused():
+def test_what_has_no_list_is_refused():
     images = pictures("cpu")
-    for augment in (
-        A.AugmentationSequential(A.RandomHorizontalFlip()),
-        A.AugmentationSequential(A.Resize(24)),
-        A.AugmentationSequential(A.RandomMixUpV2(), A.Resize((24, 24))),
-        A.ImageSequential(A.RandomCrop((8, 8), p=0.5)),
+    for augment, message in (
+        (
+            A.AugmentationSequential(A.RandomMixUpV2(), A.Resize((24, 24))),
+            "batch for RandomMixUpV2, which mixes samples",
+        ),
+        (A.RandomMosaic((24, 24)), "list of 4 images"),
+        (A.RandomHorizontalFlip3D(), "list of 4 images"),
+        (A.VideoSequential(A.Resize((24, 24)), data_format="BTCHW"), "list of 4 images"),
     ):
-        with pytest.raises(TypeError, match="expected a list of images to meet an augmentation of a fixed size"):
+        with pytest.raises(TypeError, match=message):
             augment(images)
-    with pytest.raises(TypeError, match="resample='once'"):
-        chain(resample="once")(images)
-    with pytest.raises(TypeError, match="random_apply"):
-        chain(random_apply=True)(images)
-    with pytest.raises(TypeError, match="list of 4 images"):
-        A.VideoSequential(A.Resize((24, 24)), data_format="BTCHW")(images)
+    for augment in (A.RandomHorizontalFlip(), A.ImageSequential(A.RandomHorizontalFlip())):
+        with pytest.raises(TypeError, match=r"a list of images \(C, H, W\), .* got a list of 2 images; stack them"):
+            augment([torch.rand(2, 3, 4, 5)] * 2)
+        with pytest.raises(ValueError, match="one number of channels"):
+            augment([torch.rand(3, 4, 5), torch.rand(1, 4, 5)])
+        with pytest.raises(TypeError, match="of bytes or floats, got torch.int16"):
+            augment([x.short() for x in images])
+        with pytest.raises(ValueError, match="seeds of 4 samples, got 3"):
+            augment(images, seed=torch.arange(3))
+    labeled = A.AugmentationSequential(A.RandomHorizontalFlip(), data_keys=["input", "bbox_xyxy"])
+    with pytest.raises(ValueError, match="expected bbox_xyxy of 4 images, one of each in a list or a tensor, got 1"):
+        labeled(images, [torch.rand(1, 4)])
+
+
+# --- image by image -------------------------------------------------------------------------------------------------
+
+SMALL = ((16, 20), (24, 31), (16, 20), (27, 27))  # two of one size, which are a batch
+
+
+def seeds_of(images):
+    return torch.arange(len(images), device=images[0].device) + 5
+
+
+def assert_as_alone(augment, images):
+    """Each image of a list becomes what it becomes alone with its seed, by its bits, and so do its matrix and its inverse."""
+    seeds = seeds_of(images)
+    results = augment(images, seed=seeds)
+    matrices, params = augment.transform_matrix, augment._params
+    back, known = augment.inverse(results), augment.known_pixels(results)
+    again = augment(images, params=params)
+    back_again = augment.inverse(results, params=params)
+    for b, x in enumerate(images):
+        alone = augment(x[None], seed=seeds[b : b + 1])
+        assert torch.equal(results[b], alone[0]) and torch.equal(again[b], alone[0])
+        assert torch.equal(matrices[b], augment.transform_matrix[0])
+        assert torch.equal(back[b], augment.inverse(alone)[0]) and torch.equal(back_again[b], back[b])
+        assert torch.equal(known[b], augment.known_pixels(alone)[0])
+
+
+@pytest.mark.parametrize("case", SOME_IMAGES, ids=lambda case: case.name)
+def test_an_augmentation_of_a_list(case, device):
+    """Different sizes give what each image gives alone, equal ones give the batch's bits; the type is the same for both."""
+    augment, dtype = case.make(p=0.7), random.Random(case.name).choice([torch.float32, torch.uint8])
+    images = pictures(device, SMALL, dtype)
+    assert_as_alone(augment, images)
+    equal = [x[:, :15, :16] for x in images]
+    results = []
+    for x in (equal, torch.stack(equal)):
+        torch.manual_seed(1)
+        results.append(augment(x))
+    assert all(torch.equal(a, b) for a, b in zip(*results))
+    assert isinstance(results[0], list) == isinstance(augment(images), list)
+
+
+CONTAINERS = {
+    "color": lambda: A.ImageSequential(A.RandomHorizontalFlip(), A.ColorJitter(0.2, 0.2, 0.2, 0.1, p=0.7)),
+    "late crop": lambda: A.ImageSequential(
+        A.RandomHorizontalFlip(), A.RandomAffine(20.0), A.RandomResizedCrop((12, 14)), A.Normalize(0.4, 0.3)
+    ),
+    "once": lambda: A.ImageSequential(A.RandomAffine(20.0), A.RandomResizedCrop((12, 14)), resample="once"),
+    "sizes": lambda: A.ImageSequential(A.Resize(20), torch.nn.AvgPool2d(2), A.CenterCrop((9, 9))),
+    "OneOf": lambda: A.ImageSequential(A.OneOf(A.RandomAffine(20.0), A.RandomCrop((12, 14)), A.RandomGaussianNoise())),
+    "OneOf of one size": lambda: A.OneOf(A.RandomResizedCrop((12, 14)), A.Resize((12, 14))),
+    "SomeOf": lambda: A.SomeOf(A.RandomAffine(20.0, p=1.0), A.RandomGaussianNoise(p=1.0), A.RandomInvert(), n=(1, 2)),
+    "RandomApply": lambda: A.RandomApply(A.RandomRotation(20.0, p=1.0), A.RandomInvert()),
+    "random_apply": lambda: A.ImageSequential(A.RandomAffine(20.0), A.RandomInvert(), random_apply=1),
+    "RandAugment": lambda: A.auto.RandAugment(2, 9),
+    "chance": lambda: A.ImageSequential(A.RandomCrop((12, 14), p=0.5), A.RandomHorizontalFlip()),
+}
+BATCHES = ("late crop", "once", "sizes", "OneOf of one size")
+
+
+@pytest.mark.parametrize("name", CONTAINERS)
+def test_a_container_on_a_list(name, device):
+    augment, images = CONTAINERS[name](), pictures(device, SMALL)
+    assert_as_alone(augment, images)
+    equal = [x[:, :15, :16] for x in images]
+    for x in (images, equal):
+        assert isinstance(augment(x), Tensor) == (name in BATCHES)
+    if name != "OneOf":  # which gives samples of a batch no sizes of their own
+        assert all(torch.equal(a, b) for a, b in zip(augment(equal, seed=3), augment(torch.stack(equal), seed=3)))
+
+
+def test_cells_of_each_image(device):
+    """PatchSequential, which has no inverse of cells that move."""
+    images, seeds = pictures(device, SMALL), torch.arange(4) + 5
+    for options in ({}, {"patchwise_apply": False, "random_apply": 1}, {"random_apply": 1}):
+        augment = A.PatchSequential(*[A.RandomAffine(20.0), A.RandomInvert()] * 2, grid_size=(2, 2), **options)
+        results, params = augment(images, seed=seeds), augment._params
+        again = augment(images, params=params)
+        for b, x in enumerate(images):
+            alone = augment(x[None], seed=seeds[b : b + 1])[0]
+            assert torch.equal(results[b], alone) and torch.equal(again[b], alone)
+
+
+KEYS = ["input", "mask", "bbox_xyxy", "class", "keypoints"]
+LABELED = {
+    "list": lambda: (A.RandomHorizontalFlip(), A.RandomAffine(30.0, p=0.7), A.ColorJitter(0.1)),
+    "late crop": lambda: (A.RandomHorizontalFlip(), A.RandomAffine(20.0), A.RandomResizedCrop((12, 14))),
+    "map and chance": lambda: (A.RandomElasticTransform((3, 3), (1.0, 1.0), p=1.0), A.RandomCrop((10, 12), p=0.5)),
+    "labels decide": lambda: (A.RandomIoUCrop(), A.CropNonEmptyMaskIfExists(9, 10)),
+}
+
+
+@pytest.mark.parametrize("name", LABELED)
+def test_labels_of_each_image(name, device):
+    """Masks, boxes that a rule removes with their classes, points and matrices; forward, back, and without the images."""
+    images = pictures(device, SMALL)
+    counts, seeds = (2, 0, 1, 3), seeds_of(images)
+    masks = [torch.randint(0, 9, (n, *x.shape[1:]), device=device) for n, x in zip(counts, images)]
+    boxes = [torch.rand(n, 4, device=device).cumsum(1) * 5 for n in counts]
+    points = [torch.rand(n, 2, device=device) * 15 for n in (1, 3, 0, 2)]
+    inputs = [images, masks, boxes, [list(range(n)) for n in counts], points]
+    augment = A.AugmentationSequential(*LABELED[name](), data_keys=KEYS, clip_boxes=True, min_box_area=3.0)
+    (y, matrices), *moved = augment(*inputs, seed=seeds, return_transform=True)
+    kept, visible, params = augment.kept_boxes[0], augment.visible_points[0], augment._params
+    by_params = augment(*inputs, params=params)
+    alone = augment(moved[3], data_keys=["keypoints"], params=params)  # moved once more
+    back = augment.inverse(y, *moved, params=params)
+    for b, x in enumerate(images):
+        own = [[value[b]] for value in inputs[1:]]
+        (of_image, matrix), *of_labels = augment(x[None], *own, seed=seeds[b : b + 1], return_transform=True)
+        assert torch.equal(y[b], of_image[0]) and torch.equal(by_params[0][b], y[b])
+        assert_close(matrices[b], matrix[0], 0, 0)
+        for of_list, replayed, label in zip(moved, by_params[1:], of_labels):
+            assert_same(of_list[b], label[0])
+            assert_same(replayed[b], label[0])
+        assert_same(kept[b], augment.kept_boxes[0][0])
+        assert_same(visible[b], augment.visible_points[0][0])
+        assert_same(alone[b], augment([moved[3][b]], data_keys=["keypoints"])[0])
+        augment(x[None], *own, seed=seeds[b : b + 1])
+        for of_list, label in zip(back, augment.inverse(of_image, *of_labels)):
+            assert_same(of_list[b], label[0])
+
+
+def assert_same(a, b):
+    assert torch.equal(a, b) if isinstance(a, Tensor) else a == b
+
+
+def test_dicts_types_and_gradients_of_lists(device):
+    images = [x.requires_grad_() for x in pictures(device, SMALL)]
+    flip = A.AugmentationSequential(A.RandomHorizontalFlip(p=1.0), data_keys=None)
+    gray = [x[:1].detach() for x in images]
+    flipped = flip({"image": images, "image_gray": gray, "mask": [x[0] > 0.5 for x in gray], "path": "photo.jpg"})
+    assert all(torch.equal(y, x.flip(-1)) for y, x in zip(flipped["image"], images)) and flipped["path"] == "photo.jpg"
+    assert all(torch.equal(y, x.flip(-1)) for y, x in zip(flipped["image_gray"], gray))
+    assert all(torch.equal(y[0], x[0].flip(-1) > 0.5) for y, x in zip(flipped["mask"], gray))
+    gradients = torch.autograd.grad(sum(y.square().sum() for y in flipped["image"]), images)
+    assert all(torch.equal(g, 2 * x) for g, x in zip(gradients, images))
+    single = A.ImageSequential(A.RandomHorizontalFlip(p=1.0))
+    arrays = single(gray, output_type="numpy")
+    assert [x.shape for x in arrays] == [(*size, 1) for size in SMALL]
+    wide = A.ImageSequential(A.RandomHorizontalFlip(), A.CenterCrop(9), memory_format=torch.channels_last)(images)
+    assert wide.shape == (4, 3, 9, 9) and wide.is_contiguous(memory_format=torch.channels_last)
+
+
+def test_draws_of_a_list(device):
+    """A generator draws for a list as torch does for its state; images get draws of their own from one seed."""
+    images = [torch.full((3, 4, 5 + i), 0.5, device=device) for i in range(6)]
+    for augment in (A.RandomBrightness((0.5, 1.5), p=1.0), A.ImageSequential(A.RandomBrightness((0.5, 1.5), p=1.0))):
+        calls = [
+            [float(y[0, 0, 0]) for y in augment(images, **options)]
+            for options in ({"seed": 3}, {"seed": 3}, {"generator": torch.Generator().manual_seed(1)}, {})
+        ]
+        assert calls[0] == calls[1] and len(set(calls[0])) == 6 and len(set(map(tuple, calls))) == 3

@@ -105,6 +105,9 @@ class MapAugmentation(AugmentationBase2D, keeps_contract=True):
     # --- inverse ---
 
     def inverse(self, output: Tensor, params: Params | None = None, **kwargs: Any) -> Tensor:
+        of_list = self._each_part(output, params, lambda own, x: own.inverse(x, **kwargs))
+        if of_list is not None:
+            return of_list
         flags = self._flags_of(kwargs)
         x, execution = self._call_to_invert(output, params, flags)
         if not execution.applied or 0 in x.shape:

@@ -69,6 +69,9 @@ class GeometricAugmentation(AugmentationBase, keeps_contract=True):
         return transform_points(torch.linalg.inv(self._matrix(execution)).to(points), points)
 
     def inverse(self, output: Tensor, params: Params | None = None, **kwargs: Any) -> Tensor:
+        of_list = self._each_part(output, params, lambda own, x: own.inverse(x, **kwargs))
+        if of_list is not None:
+            return of_list
         flags = self._flags_of(kwargs)
         x, execution = self._call_to_invert(output, params, flags)
         if not execution.applied:

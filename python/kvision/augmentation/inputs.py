@@ -40,15 +40,18 @@ def image_and_matrix(module: Any, input: Any) -> tuple[Any, Tensor | None]:
         described = _check.described(input)
         got = described if " of " in described else f"a {described} of {len(input)}"
         op = type(module).__name__
-        raise TypeCheckError(f"{op}: expected input to be a Tensor, or a tuple of one and of matrices, got {got}")
+        lists = " a list of images (C, H, W)," if getattr(module, "takes_lists", False) else ""
+        raise TypeCheckError(
+            f"{op}: expected input to be a Tensor,{lists} or a tuple of one and of matrices, got {got}"
+        )
     return input, None
 
 
 def is_image_list(module: Any, input: Any) -> bool:
     """Whether an input is a list of images (C, H, W), for a container that takes them."""
-    if not isinstance(input, list) or not input or not getattr(module, "takes_lists", False):
+    if not isinstance(input, list) or not getattr(module, "takes_lists", False):
         return False
-    return all((type(x) is Tensor or isinstance(x, Tensor)) and x.dim() == 3 for x in input)
+    return len(input) > 0 and all((type(x) is Tensor or isinstance(x, Tensor)) and x.dim() == 3 for x in input)
 
 
 def check_image(module: Any, x: Any) -> None:
@@ -136,7 +139,7 @@ def as_output_type(output: Any, output_type: OutputType, key: DataKey = DataKey.
     if output_type == "pt":
         return output
     if isinstance(output, (list, tuple)):
-        if key == DataKey.INPUT:
+        if key == DataKey.INPUT and isinstance(output, tuple):
             return (as_output_type(output[0], output_type), output[1])
         return type(output)(as_output_type(part, output_type, key) for part in output)
     if not isinstance(output, Tensor):
@@ -261,7 +264,12 @@ def _is_label(key: DataKey, value: Any, axes: int) -> bool:
 
 
 def _is_image(value: Any, image: Any, module: Any) -> bool:
-    """Whether a value is an image that a container takes, with as many axes as another one, if there is one."""
+    """Whether a value is an image that a container takes, with as many axes as another one, if there is one.
+
+    A list of images is one next to another.
+    """
+    if isinstance(image, list):
+        return is_image_list(module, value) and len(value) == len(image)
     if _is_foreign(value):
         shape = value.shape if _check.is_array(value) else (*reversed(value.size), len(value.getbands()))
         if not isinstance(image, Tensor):

@@ -203,6 +203,9 @@ class PolicyAugmentBase(ImageSequential):
 
     # --- execution ---
 
+    def _sizes_after(self, sizes: Any) -> Any:
+        return sizes
+
     def _execute(self, x: Tensor, params: Sequence[ParamItem] | None, context: CallContext) -> tuple[Tensor, Record]:
         drawn = self._draw(x, context) if params is None else self._redrawn(params, x)
         y, stages = self._run(x, drawn)
@@ -227,6 +230,8 @@ class PolicyAugmentBase(ImageSequential):
         if params is None and not recompute:
             return self.transform_matrix
         x = self.transform_tensor(input)
+        if isinstance(x, list):
+            return super().get_transformation_matrix(input, params, recompute, extra_args)
         stages = self._run(x, self._redrawn(params or self._params, x))[1]
         return self._matrix(Record(tuple(x.shape), (), stages))
 

@@ -24,6 +24,8 @@ Neighbors in a container:
     definition     what they compute, written plainly
     choices        which children run, for the batch or for each sample
     turns          execution where each sample has children of its own; choice_base the containers that draw them
+    lists          a list of images that an augmentation makes a batch by one launch
+    list_calls     a call on a list, image by image; augment_list that of one augmentation
     stages, record what a call did to positions of pixels; all that it did
     label_moves    boxes and points behind the stages of a call; label_record those of one call
     *_sequential   the containers that users call

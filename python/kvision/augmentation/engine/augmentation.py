@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, ClassVar
 
 import torch
 from torch import Generator, Tensor
+from typing_extensions import Self
 
 from kvision._modules import give_own_forward
+from kvision.augmentation.engine.augment_list import augment_list, call_each_image
 from kvision.augmentation.engine.execution import Execution, Params, replaying
 from kvision.augmentation.engine.executor import Executor
 from kvision.augmentation.inputs import WIDE_INTEGERS, check_image, check_matrix, image_and_matrix, in_type_of
@@ -40,6 +42,8 @@ class AugmentationBase(Executor, keeps_contract=True):
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
         give_own_forward(cls)
+
+    takes_lists: ClassVar[bool] = False  # of images of different sizes
 
     def validate_tensor(self, input: Tensor) -> None:
         """Raise unless `input` is a tensor of a type of images with at most a batch of images that have pixels."""
@@ -75,7 +79,8 @@ class AugmentationBase(Executor, keeps_contract=True):
 
         Args:
             input: images (B, C, H, W), (C, H, W) or (H, W) of a floating-point type or uint8; volumes have one more axis. A
-                pair of images and matrices (B, 3, 3) passes the matrices on, as chains with `return_transform` do.
+                pair of images and matrices (B, 3, 3) passes the matrices on, as chains with `return_transform` do. Images
+                (C, H, W) of different sizes are a list.
             params: parameters of an earlier call, its `_params`, to repeat it on these images.
             seed: an int, or int64 (B,) with one of a sample, from which all parameters follow; torch's generator is not used.
             generator: draws the key of this call; default: that of the constructor, or torch's.
@@ -84,13 +89,17 @@ class AugmentationBase(Executor, keeps_contract=True):
 
         Returns:
             Images (B, C, h, w) of the type of `input`, with fewer axes if `keepdim` and the input has; with
-            `return_transform` a pair of them and the matrices (B, 3, 3).
+            `return_transform` a pair of them and the matrices (B, 3, 3). A list becomes a batch if the augmentation gives all
+            images one size, as RandomResizedCrop does, and a list otherwise.
 
         Raises:
-            TypeError: `input` is not a tensor of a floating-point type or uint8, nor a tuple of one and of matrices.
+            TypeError: `input` is not a tensor of a floating-point type or uint8, nor a list of such images, nor a tuple of a
+                tensor and of matrices.
             ValueError: `input` has another number of axes; matrices have another shape.
         """
         image, before = image_and_matrix(self, input)
+        if isinstance(image, list):
+            return self._call_on_list(image, params, seed, generator, return_transform, kwargs)
         x = self.transform_tensor(image)
         if before is not None:
             check_matrix(self, before, x)
@@ -106,6 +115,32 @@ class AugmentationBase(Executor, keeps_contract=True):
             y = self._restored(y, image)
         returns = self.return_transform if return_transform is None else return_transform
         return with_matrix(y, before, self._matrix(execution).to(y.device) if returns else None)
+
+    def _call_on_list(
+        self,
+        images: list[Tensor],
+        params: Params | None,
+        seed: Seed,
+        generator: Generator | None,
+        return_transform: bool | None,
+        kwargs: dict[str, Any],
+    ) -> Any:
+        """Augment a list of images (C, H, W)."""
+        labels = None if self.reads_labels is None else kwargs.pop(self.reads_labels, None)
+        y, execution = augment_list(self, images, params, seed, generator, self._flags_of(kwargs), labels)
+        self._execution = execution
+        returns = self.return_transform if return_transform is None else return_transform
+        return with_matrix(y, None, self._matrix(execution).to(images[0].device) if returns else None)
+
+    def _each_part(self, output: Any, params: Params | None, call: Callable[[Self, Tensor], Any]) -> Any:
+        """What a call makes of the results of a list, as a list; None if the last call, or that of params, was on a batch."""
+        last = self._execution
+        if params is None and last is not None and last.is_of_list:
+            params = last.params
+        shapes = None if params is None else params.get("forward_input_shape")
+        if not isinstance(shapes, Tensor) or shapes.dim() != 2:
+            return None
+        return call_each_image(self, output, params or {}, call)
 
     def _labels_of_call(self, kwargs: dict[str, Any], x: Tensor) -> Any:
         """What a draw reads of the labels among the arguments of a call, which are taken out of them."""
@@ -128,7 +163,9 @@ class AugmentationBase(Executor, keeps_contract=True):
 
     @_params.setter
     def _params(self, params: Params) -> None:
-        self._execution = Execution(tuple(params["forward_input_shape"].tolist()), params=params)
+        shape = params["forward_input_shape"]
+        self._execution = Execution(tuple((shape if shape.dim() == 1 else shape.amax(0)).tolist()), params=params)
+        self._execution.is_of_list = shape.dim() == 2
 
     @property
     def transform_matrix(self) -> Tensor | None:
@@ -193,8 +230,8 @@ class AugmentationBase(Executor, keeps_contract=True):
             **kwargs: flags, such as `resample`.
 
         Returns:
-            Images of the size that the input had; 0 where the result has no data of them. Predictions of another size than the
-            results give one that is smaller or larger by the same ratio.
+            Images of the size that the input had, of a list a list; 0 where the result has no data of them. Predictions of another
+            size than the results give one that is smaller or larger by the same ratio.
         """
         return output
 
@@ -206,8 +243,11 @@ class AugmentationBase(Executor, keeps_contract=True):
             params: the `_params` of the call.
 
         Returns:
-            bool (B, 1, H, W), of the size that :meth:`inverse` gives.
+            bool (B, 1, H, W), of the size that :meth:`inverse` gives; of a list a list of (1, H, W).
         """
+        of_list = self._each_part(output, params, lambda own, x: own.known_pixels(x))
+        if of_list is not None:
+            return of_list
         x = self.transform_tensor(output)
         execution = self._execution_of(params, x, self.flags)
         if execution is None:
@@ -267,6 +307,7 @@ class AugmentationBase2D(AugmentationBase):
     """
 
     axes = 3
+    takes_lists = True
 
 
 class RigidAffineAugmentationBase2D(AugmentationBase2D):

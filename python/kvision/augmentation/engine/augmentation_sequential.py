@@ -17,6 +17,7 @@ from kvision.augmentation.engine.call_labels import CallLabels
 from kvision.augmentation.engine.image_sequential import ImageSequential, ParamItem
 from kvision.augmentation.engine.label_moves import move_boxes_back
 from kvision.augmentation.engine.label_record import LabelRecord
+from kvision.augmentation.engine.list_calls import ListRecord, Part, join, with_call
 from kvision.augmentation.engine.record import Record
 from kvision.augmentation.engine.stages import (
     Chain,
@@ -185,10 +186,11 @@ class AugmentationSequential(ImageSequential):
         else passes through; a tensor that does although its size or name is like that of data is warned about once.
 
         Args:
-            *args: images and labels in the order of the data keys; or one dict. A list of images (C, H, W) of different sizes, with
-                lists of labels, becomes a batch if the first child has a fixed size. The first image may be a tuple of it and
-                matrices (B, 3, 3), which are passed on, as chains with `return_transform` do. Images of NumPy and PIL and files
-                become floating point in [0, 1]; masks of NumPy and PIL, also those with a palette, keep their values.
+            *args: images and labels in the order of the data keys; or one dict. Images (C, H, W) of different sizes are a list,
+                with lists of labels, one of each image: masks (N, H, W) and boxes (N, 4), where N may be 0. The first image may
+                be a tuple of it and matrices (B, 3, 3), which are passed on, as chains with `return_transform` do. Images of
+                NumPy and PIL and files become floating point in [0, 1]; masks of NumPy and PIL, also those with a palette, keep
+                their values.
             params: the `_params` of an earlier call, to repeat it on these images.
             data_keys: keys of this call; default: those of the constructor.
             seed: an int, or int64 (B,) with one of a sample, from which all parameters follow.
@@ -199,11 +201,11 @@ class AugmentationSequential(ImageSequential):
 
         Returns:
             What was given, moved: one tensor for one key, else a list; a dict for a dict. With `return_transform` the first
-            image is a pair of it and the matrices (B, 3, 3).
+            image is a pair of it and the matrices (B, 3, 3). A list of images becomes a batch if the children give all images
+            one size, as RandomResizedCrop does, and a list otherwise.
 
         Raises:
-            TypeError: an input has another type than its key says; images are a list that the first child does not
-                make a batch.
+            TypeError: an input has another type than its key says; images are a list, and a child mixes samples.
             ValueError: the number of inputs is not that of the keys; no key is the image's; an input has another shape.
         """
         if output_type != "pt":
@@ -219,7 +221,12 @@ class AugmentationSequential(ImageSequential):
             if not isinstance(value, Tensor):
                 before = self._convert(keys, values, image)
                 break
-        outputs, record = self._call(keys, values, params, seed, generator, before)
+        record: Record
+        if image is not None and isinstance(values[image], list) and not self._reads_lists:
+            values[image] = self.transform_tensor(values[image])
+            outputs, record = self._call_list(keys, values, params, seed, generator)
+        else:
+            outputs, record = self._call(keys, values, params, seed, generator, before)
         self._keep(record)
         if image is not None:
             outputs[image] = self._with_matrix(outputs[image], before, return_transform, record)
@@ -256,6 +263,11 @@ class AugmentationSequential(ImageSequential):
             names = [key.name.lower() for key in keys]
             raise ValueCheckError(f"{op}: expected {len(keys)} inputs for {names}, got {len(args)}")
         return keys
+
+    def _call_part(
+        self, keys: Sequence[DataKey], inputs: list[Any], params: Any, seed: Seed, generator: Generator | None
+    ) -> tuple[list[Any], Record]:
+        return self._call(list(keys), inputs, params, seed, generator, None)
 
     def _call(
         self,
@@ -303,12 +315,27 @@ class AugmentationSequential(ImageSequential):
 
     def _move_alone(self, keys: list[DataKey], inputs: list[Any], params: Any) -> tuple[list[Any], Record]:
         """Labels without their images, moved by the last call or by given parameters."""
+        parts = self._parts_of(params)
+        if parts is not None:
+            return self._move_parts(keys, inputs, parts)
         last, record = self._record, self._record_of(_no_image(), params)
         inputs, restore = as_frames(last.videos, keys, inputs)
         moves = LabelRecord(self._label_settings, record.shape, record.size)
         outputs = moves.move(keys, inputs, record.stages)
         record.stages.forget()
         return as_videos(last.videos, outputs, restore), last.replaced(labels=moves)
+
+    def _move_parts(
+        self, keys: list[DataKey], inputs: list[Any], parts: Sequence[Part]
+    ) -> tuple[list[Any], ListRecord]:
+        """Labels of the images of a list without these."""
+        count, each, moved = sum(len(part.rows) for part in parts), [], []
+        for part in parts:
+            own = self._of_rows(keys, inputs, part.rows, count)
+            outputs, record = with_call(self, "_record", part.call)._move_alone(keys, own, None)
+            each.append(outputs)
+            moved.append(Part(part.rows, record))
+        return self._join_parts(keys, inputs, parts, each, False), ListRecord(moved, count)
 
     @property
     def _label_settings(self) -> LabelSettings:
@@ -335,6 +362,8 @@ class AugmentationSequential(ImageSequential):
     @property
     def kept_boxes(self) -> list[Any]:
         """Which boxes of the last call passed the filter: bool (B, N), or a list of (N,), for each input; empty without one."""
+        if isinstance(self._record, ListRecord):
+            return self._labels_of_parts(self._record, "kept_boxes")
         record = self._record
         kept = [] if record.labels is None else record.labels.kept_boxes
         return [] if self.box_filter.does_nothing and not kept else labels_as_videos(record.videos, kept)
@@ -345,9 +374,15 @@ class AugmentationSequential(ImageSequential):
 
         Points outside of the result are not visible, nor are those that were outside of one before it.
         """
+        if isinstance(self._record, ListRecord):
+            return self._labels_of_parts(self._record, "visible_points")
         record = self._record
         visible = [] if record.labels is None else record.labels.visible_points()
         return labels_as_videos(record.videos, visible)
+
+    def _labels_of_parts(self, record: ListRecord, name: str) -> list[Any]:
+        each = [getattr(with_call(self, "_record", part.call), name) for part in record.parts]
+        return [join(record.parts, values, record.count) for values in zip(*each)]
 
     def inverse(
         self,
@@ -373,6 +408,13 @@ class AugmentationSequential(ImageSequential):
         return outputs[0] if len(outputs) == 1 else outputs
 
     def _invert_all(self, keys: list[DataKey], inputs: list[Any], params: Any) -> list[Any]:
+        parts = self._parts_of(params, inputs[keys.index(DataKey.INPUT)] if DataKey.INPUT in keys else None)
+        if parts is not None:
+            count, each = sum(len(part.rows) for part in parts), []
+            for part in parts:
+                own = self._of_rows(keys, inputs, part.rows, count)
+                each.append(with_call(self, "_record", part.call)._invert_all(keys, own, None))
+            return self._join_parts(keys, inputs, parts, each, False)
         videos = self._record.videos
         if DataKey.INPUT in keys:
             videos = self._video_layout(inputs[keys.index(DataKey.INPUT)])
@@ -398,7 +440,7 @@ class AugmentationSequential(ImageSequential):
         return as_videos(videos, outputs, restore)
 
     def known_pixels(self, output: Tensor, params: Sequence[ParamItem] | None = None) -> Tensor:
-        videos = self._video_layout(output)
+        videos = None if isinstance(output, list) else self._video_layout(output)
         known = super().known_pixels(output if videos is None else videos.frames(output), params)
         return known if videos is None else videos.videos(known)
 

@@ -12,6 +12,7 @@ from kvision import _check
 from kvision.augmentation.columns import DrawPlan, plan_draws
 from kvision.augmentation.draws import Draw, Request, uniform
 from kvision.augmentation.engine.image_sequential import ImageSequential, ParamItem
+from kvision.augmentation.engine.list_calls import Sizes, sizes_after
 from kvision.augmentation.engine.record import Child
 from kvision.augmentation.engine.runs import CallContext
 from kvision.augmentation.engine.turns import Turn, turns_of
@@ -36,7 +37,7 @@ class ChoiceBase(ImageSequential):
         return_transform: calls return the image and the product of the matrices.
     """
 
-    takes_lists = False
+    chooses_for_samples = True
     children_are_certain = False  # a chosen child is executed, whatever its own p says
 
     def __init__(
@@ -78,13 +79,22 @@ class ChoiceBase(ImageSequential):
         """The numbers of the units that samples get, one after the other, for what was drawn for each behind its first number."""
         raise NotImplementedError
 
+    # --- lists ---
+
+    @property
+    def _reads_lists(self) -> bool:
+        return False
+
+    def _sizes_after(self, sizes: Sizes) -> Sizes | None:
+        after = [sizes_after(module, sizes) for module in self.children()]
+        one_of_them = [sizes] if not (self.children_are_certain and self.p == 1) else after[:1]
+        return one_of_them[0] if all(own == one_of_them[0] for own in after) else None
+
     # --- a call ---
 
     def _in_turns(
         self, x: Tensor, params: Sequence[ParamItem] | None, context: CallContext
     ) -> tuple[list[Turn], CallContext]:
-        if isinstance(x, list):
-            raise TypeCheckError(f"{context.op}: expected a batch for {type(self).__name__}, got a list of images")
         if params is not None:
             children = self._children_of_call(params, context)
             turns = self._turns_of_params(children, len(x))

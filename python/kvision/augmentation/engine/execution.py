@@ -49,6 +49,7 @@ class Execution:
 
     matrix: Tensor | None = None
     identity: tuple[torch.device, torch.dtype] | None = None  # `matrix_type` of matrices that are made when read
+    is_of_list = False  # of images of different sizes
     keeps_map = False  # for labels of the same call
     map: Tensor | None = None  # of a deformation, kept by `keeps_map`
 

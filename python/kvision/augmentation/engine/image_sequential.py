@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple, get_args
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, get_args
 
 import torch
 from torch import Generator, Tensor, nn
+from typing_extensions import Self
 
 from kvision import _check
 from kvision._choices import EachOrOnce, OutputType
@@ -18,7 +19,29 @@ from kvision.augmentation.engine.choices import Choices
 from kvision.augmentation.engine.configuration import Plans, portable, settings_changed
 from kvision.augmentation.engine.declaration import KeepsArguments
 from kvision.augmentation.engine.execution import check_batch_of_params
-from kvision.augmentation.engine.record import Child, Record
+from kvision.augmentation.engine.list_calls import (
+    SIZES,
+    ListRecord,
+    Part,
+    Sizes,
+    belongs_to_images,
+    each_row,
+    gives_one_size,
+    items_of_rows,
+    join,
+    join_images,
+    join_items,
+    of_rows,
+    part_seed,
+    refuse_list,
+    rows_of_parts,
+    seeds_of_list,
+    shapes_of_images,
+    sizes_after,
+    with_call,
+)
+from kvision.augmentation.engine.lists import list_plan
+from kvision.augmentation.engine.record import Child, ParamItem, Record, child_of, item_of
 from kvision.augmentation.engine.runs import CallContext, execute
 from kvision.augmentation.engine.stages import (
     KNOWN,
@@ -49,6 +72,7 @@ from kvision.augmentation.samples import (
     without_added_axes,
 )
 from kvision.augmentation.warp_and_color import SAME, Output, Resampling
+from kvision.constants import DataKey
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 from kvision.geometry.transform.lists.arguments import check_list, largest_shape
 
@@ -56,41 +80,6 @@ __all__ = ["ImageSequential", "ImageSequentialBase", "ParamItem"]
 
 _EACH_OR_ONCE = get_args(EachOrOnce)
 Children = Iterator[tuple[str, nn.Module]]
-
-
-class ParamItem(NamedTuple):
-    """The parameters of an executed child: its name in the container, and its `_params`; None for other modules."""
-
-    name: str
-    data: Any
-
-
-class SomeParamItem(NamedTuple):
-    """Those of a child that some samples of a batch got, which `samples` (B,) says on the CPU; `data` are those of these alone."""
-
-    name: str
-    data: Any
-    samples: Tensor
-
-
-AnyParamItem = ParamItem | SomeParamItem
-
-
-def item_of(child: Child) -> AnyParamItem:
-    """The parameters of an executed child."""
-    if child.samples is None:
-        return ParamItem(child.name, child.read_params())
-    samples = torch.zeros(child.batch, dtype=torch.bool, device="cpu")
-    samples[list(child.samples)] = True
-    return SomeParamItem(child.name, child.read_params(), samples)
-
-
-def child_of(item: Any, module: nn.Module) -> Child:
-    """A child with the parameters that it replays."""
-    samples = getattr(item, "samples", None)
-    if samples is None:
-        return Child(item.name, module, item.data)
-    return Child(item.name, module, item.data, samples=samples.nonzero()[:, 0].tolist(), batch=len(samples))
 
 
 class ImageSequentialBase(KeepsArguments, nn.Sequential):
@@ -217,6 +206,7 @@ class ImageSequential(ImageSequentialBase):
 
     transformation_matrix_mode = "silent"
     takes_lists = True  # of images of different sizes
+    _item_field = "name"  # that each item of `_params` has
 
     @property
     def accepts_wide_integers(self) -> bool:
@@ -330,6 +320,97 @@ class ImageSequential(ImageSequentialBase):
         assert isinstance(context.seed, Tensor)
         return self._choices().of_seeds(_moved(context.seed, context.position))
 
+    # --- lists ---
+
+    @property
+    def _reads_lists(self) -> bool:
+        """Whether the first child makes a list a batch by one launch, so that the list is not taken image by image."""
+        if self.random_apply is not None or self.resample == "once" or not len(self):
+            return False
+        return list_plan(self[0]) is not None
+
+    def _sizes_after(self, sizes: Sizes) -> Sizes | None:
+        """What the children make of two sizes; None where it depends on more than these."""
+        if self.random_apply is not None:
+            return sizes if all(sizes_after(module, sizes) == sizes for module in self.children()) else None
+        after: Sizes | None = sizes
+        for module in self.children():
+            after = sizes_after(module, SIZES if after is None else after)
+        return after
+
+    def _call_list(
+        self, keys: Sequence[DataKey], inputs: Sequence[Any], params: Any, seed: Seed, generator: Generator | None
+    ) -> tuple[list[Any], ListRecord]:
+        """The results of a call on a list of images, image by image, and its record."""
+        op, first = type(self).__name__, keys.index(DataKey.INPUT)
+        images = inputs[first]
+        count, modules = len(images), list(self.modules())
+        refuse_list(op, modules)
+        rows_of = rows_of_parts(images, modules, isinstance(seed, Tensor) and seed.dim() == 1)
+        if params is None and len(rows_of) > 1:
+            seed = seeds_of_list(op, count, seed, generator or self.generator)
+        parts, each = [], []
+        for rows in rows_of:
+            own = self._of_rows(keys, inputs, rows, count)
+            replayed = (
+                None if params is None else items_of_rows(checked_items(op, params, self._item_field), rows, count)
+            )
+            outputs, record = self._call_part(keys, own, replayed, *part_seed(seed, generator, rows, count))
+            parts.append(Part(rows, record))
+            each.append(outputs)
+        return self._join_parts(keys, inputs, parts, each, gives_one_size(self)), ListRecord(parts, count)
+
+    def _call_part(
+        self, keys: Sequence[DataKey], inputs: list[Any], params: Any, seed: Seed, generator: Generator | None
+    ) -> tuple[list[Any], Record]:
+        """The results of a call on a batch, and its record."""
+        y, record = self._execute(inputs[0], params, self._context(seed, generator))
+        record.stages.forget()
+        return [y], record
+
+    def _of_rows(self, keys: Sequence[DataKey], inputs: Sequence[Any], rows: Sequence[int], count: int) -> list[Any]:
+        """What the inputs of a call on a list are for some of its images."""
+        op = type(self).__name__
+        return [
+            value
+            if key == DataKey.CLASS and not belongs_to_images(value, count)
+            else of_rows(op, key, value, rows, count)
+            for key, value in zip(keys, inputs)
+        ]
+
+    def _join_parts(
+        self, keys: Sequence[DataKey], inputs: Sequence[Any], parts: Sequence[Part], each: Sequence[Any], is_batch: bool
+    ) -> list[Any]:
+        """The results of the parts of a list in its order; images as a batch or a list."""
+        count = sum(len(part.rows) for part in parts)
+        outputs = []
+        for key, value, *results in zip(keys, inputs, *each):
+            if key == DataKey.INPUT:
+                outputs.append(join_images(parts, results, count, is_batch))
+            elif key == DataKey.CLASS and not belongs_to_images(value, count):
+                outputs.append(value)
+            else:
+                outputs.append(join(parts, results, count))
+        return outputs
+
+    def _parts_of(self, params: Sequence[ParamItem] | None, outputs: Any = None) -> Sequence[Part] | None:
+        """The parts of the last call, or of given parameters, if it was one on a list; None of others."""
+        if params is None:
+            return self._record.parts if isinstance(self._record, ListRecord) else None
+        shapes = shapes_of_images(params)
+        if shapes is None and is_image_list(self, outputs):
+            shapes = [None] * len(outputs)
+        if shapes is None:
+            return None
+        parts = []
+        for b, shape in enumerate(shapes):
+            if shape is None:  # of cells, or without a child that ran: results have the size of the images
+                shape = (1, 1, 1) if outputs is None else tuple(outputs[b].shape)
+            image = torch.zeros(1, device="cpu").expand(1, *shape)
+            items = items_of_rows(params, [b], len(shapes))
+            parts.append(Part([b], self._execute(image, items, self._context(None, None))[1]))
+        return parts
+
     # --- execution ---
 
     def transform_tensor(self, input: Tensor) -> Tensor:
@@ -371,8 +452,6 @@ class ImageSequential(ImageSequentialBase):
 
     def _execute(self, x: Tensor, params: Sequence[ParamItem] | None, context: CallContext) -> tuple[Tensor, Record]:
         """Run the children on images (B, C, H, W); gives the images and what the call did."""
-        if self.random_apply is not None and isinstance(x, list):
-            raise TypeCheckError(f"{context.op}: expected a batch for random_apply, got a list of images")
         in_turns = self._in_turns(x, params, context)
         if in_turns is not None:
             y, stages, children = execute_turns(x, *in_turns)
@@ -447,7 +526,10 @@ class ImageSequential(ImageSequentialBase):
 
     def _read_params(self, record: Record) -> list[Any]:
         """The parameters of a call by name."""
-        if record.items is None:
+        if record.items is None and isinstance(record, ListRecord):
+            each = [self._read_params(part.call) for part in record.parts]
+            record.items = join_items(record.parts, each, record.count)
+        elif record.items is None:
             record.items = self._items(record)
         return record.items
 
@@ -468,10 +550,9 @@ class ImageSequential(ImageSequentialBase):
         """Augment images.
 
         Args:
-            input: images (B, C, H, W), (C, H, W) or (H, W) of a floating-point type or uint8. A list of images (C, H, W) of
-                different sizes becomes a batch if the first child has a fixed size, as RandomResizedCrop has. A tuple of
-                images and matrices (B, 3, 3) passes the matrices on, as chains with `return_transform` do. Images of NumPy and
-                PIL and files become floating point in [0, 1].
+            input: images (B, C, H, W), (C, H, W) or (H, W) of a floating-point type or uint8. Images (C, H, W) of different sizes
+                are a list. A tuple of images and matrices (B, 3, 3) passes the matrices on, as chains with `return_transform` do.
+                Images of NumPy and PIL and files become floating point in [0, 1].
             params: the `_params` of an earlier call, to repeat it on these images.
             extra_args: accepted for code written for Kornia.
             seed: an int, or int64 (B,) with one of a sample, from which all parameters follow.
@@ -480,11 +561,12 @@ class ImageSequential(ImageSequentialBase):
             output_type: "pt" for tensors, "numpy" for arrays with the channels last, "pil" for a list of PIL images.
 
         Returns:
-            Images (B, C, h, w) of the type of `input`; with `return_transform` a pair of them and the matrices (B, 3, 3).
+            Images (B, C, h, w) of the type of `input`; with `return_transform` a pair of them and the matrices (B, 3, 3). A
+            list becomes a batch if the children give all images one size, as RandomResizedCrop does, and a list otherwise.
 
         Raises:
-            TypeError: `input` is not a tensor of a floating-point type or uint8, nor what becomes one; it is a list that
-                the first child does not make a batch.
+            TypeError: `input` is not a tensor of a floating-point type or uint8, nor what becomes one; it is a list, and a child
+                mixes samples.
             ValueError: `input` has another number of axes; `params` names a child that there is not; matrices have another
                 shape; `output_type` is unknown.
         """
@@ -494,20 +576,24 @@ class ImageSequential(ImageSequentialBase):
         x = self.transform_tensor(image)
         if before is not None:
             check_matrix(self, before, x)
-        y, record = self._execute(x, params, self._context(seed, generator))
-        record.stages.forget()
+        if isinstance(x, list) and not self._reads_lists:
+            (y,), record = self._call_list([DataKey.INPUT], [x], params, seed, generator)
+        else:
+            y, record = self._execute(x, params, self._context(seed, generator))
+            record.stages.forget()
         self._keep(record)
         output = self._with_matrix(self._restored(y, image), before, return_transform, record)
         return output if output_type == "pt" else as_output_type(output, output_type)
 
-    def _with_matrix(self, y: Tensor, before: Tensor | None, return_transform: bool | None, record: Record) -> Any:
+    def _with_matrix(self, y: Any, before: Tensor | None, return_transform: bool | None, record: Record) -> Any:
         """The result of a call, with its matrix if that is asked for, or with those that containers inside return."""
         returns = self.return_transform if return_transform is None else return_transform
         if returns is None:
             transform = self._matrix_of_inner(record)
         else:
             transform = self._matrix(record) if returns else None
-        return with_matrix(y, before, None if transform is None else transform.to(y.device))
+        device = y[0].device if isinstance(y, list) else y.device
+        return with_matrix(y, before, None if transform is None else transform.to(device))
 
     def _matrix_of_inner(self, record: Record) -> Tensor | None:
         """The product of the matrices that containers inside return, as one after the other does; None if none returns one."""
@@ -516,6 +602,8 @@ class ImageSequential(ImageSequentialBase):
             inner = [m for m in self.modules() if m is not self and isinstance(m, ImageSequential)]
             returns = any(m.return_transform for m in inner)
             self._plans.keep("returns", returns)
+        if isinstance(record, ListRecord):
+            return _matrix_of_parts(record, self._matrix_of_inner)
         if not returns or record.shape is None:
             return None
         matrix = identity_of(record.shape)
@@ -548,6 +636,8 @@ class ImageSequential(ImageSequentialBase):
         return self._matrix(self._record)
 
     def _matrix(self, record: Record) -> Tensor | None:
+        if isinstance(record, ListRecord):
+            return _matrix_of_parts(record, self._matrix)
         if record.shape is None or self.transformation_matrix_mode == "skip":
             return None
         return record.stages.product(identity_of(record.shape))
@@ -562,9 +652,11 @@ class ImageSequential(ImageSequentialBase):
         """The product (B, 3, 3) of the matrices of a call on `input`: the last one, or that of the given parameters."""
         if params is None and not recompute:
             return self.transform_matrix
-        x = self.transform_tensor(input)
-        record = self._execute(x, self._params if params is None else params, self._context(None, None))[1]
-        return record.stages.product(identity_of(tuple(x.shape)))
+        x, params = self.transform_tensor(input), self._params if params is None else params
+        if isinstance(x, list) and not self._reads_lists:
+            return self._matrix(self._call_list([DataKey.INPUT], [x], params, None, None)[1])
+        record = self._execute(x, params, self._context(None, None))[1]
+        return record.stages.product(identity_of(record.shape or ()))
 
     def inverse(
         self, input: Tensor, params: Sequence[ParamItem] | None = None, extra_args: dict[Any, Any] | None = None
@@ -577,8 +669,11 @@ class ImageSequential(ImageSequentialBase):
             extra_args: accepted for code written for Kornia.
 
         Returns:
-            Images of the size that the input had; 0 where the result has no data of them.
+            Images of the size that the input had, of a list a list; 0 where the result has no data of them.
         """
+        parts = self._parts_of(params, input)
+        if parts is not None:
+            return self._each_part(parts, input, lambda own, x: own.inverse(x))
         x = self.transform_tensor(input)
         record = self._record_to_invert(x, params)
         return self._restored(inverse_at(x, record.size, record.stages.invert), input)
@@ -591,12 +686,23 @@ class ImageSequential(ImageSequentialBase):
             params: the `_params` of the call.
 
         Returns:
-            bool (B, 1, H, W), of the size that :meth:`inverse` gives.
+            bool (B, 1, H, W), of the size that :meth:`inverse` gives; of a list a list of (1, H, W).
         """
+        parts = self._parts_of(params, output)
+        if parts is not None:
+            return self._each_part(parts, output, lambda own, x: own.known_pixels(x))
         x = self.transform_tensor(output)
         record = self._record_of(x, params)
         moved = record.stages.move_masks(known_everywhere(record.shape or tuple(x.shape), x.device), KNOWN)
         return at_scale(is_known(record.stages.invert(moved)), x.shape[2:], moved.shape[2:])
+
+    def _each_part(self, parts: Sequence[Part], output: Any, call: Callable[[Self, Tensor], Any]) -> Any:
+        """What a call makes of the results of each part, as the list that the images were."""
+        count, each = sum(len(part.rows) for part in parts), []
+        for part in parts:
+            x = of_rows(type(self).__name__, DataKey.INPUT, output, part.rows, count)
+            each.append(call(with_call(self, "_record", part.call), x))
+        return each_row(each, parts, count)
 
     def _record_of(self, x: Tensor, params: Sequence[ParamItem] | None) -> Record:
         """The last call, or one with given parameters on images of which only the size counts."""
@@ -634,6 +740,12 @@ class ImageSequential(ImageSequentialBase):
                 shape = module.output_shape(shape, module.flags)
             items.append(ParamItem(name, data))
         return items
+
+
+def _matrix_of_parts(record: ListRecord, matrix: Callable[[Record], Tensor | None]) -> Tensor | None:
+    """The matrices of the images of a list, by those of its parts."""
+    matrices = [matrix(part.call) for part in record.parts]
+    return None if matrices[0] is None else join(record.parts, matrices, record.count)
 
 
 def _moved(seed: Any, position: int) -> Any:

@@ -1,4 +1,4 @@
-"""Containers on lists of images: the first augmentation gives all results one size, and what follows runs on a batch.
+"""Lists of images that an augmentation makes a batch by one launch, with which a container goes on.
 
 A parameter of an augmentation is drawn for the size of its image: a launch has numbers of its own for each image. Equal sizes
 draw what a batch draws.
@@ -19,16 +19,15 @@ from kvision.augmentation.columns import Columns, Span, split_inputs
 from kvision.augmentation.draws import KINDS, SIZED, Request, draw_list_parameters, draw_parameters
 from kvision.augmentation.engine.call_labels import CallLabels
 from kvision.augmentation.engine.execution import Execution, matrix_type
+from kvision.augmentation.engine.list_calls import SIZES
 from kvision.augmentation.engine.record import Child
 from kvision.augmentation.engine.stages import MaskReading, Warp
 from kvision.augmentation.keys import Keys
 from kvision.augmentation.maps import exact, warp_each
 from kvision.augmentation.transforms import KINDS as TRANSFORMS
 from kvision.augmentation.transforms import Transform, _transform_matrix
-from kvision.core.exceptions import ShapeError, TypeCheckError
+from kvision.core.exceptions import ShapeError
 from kvision.geometry.transform.lists.arguments import like_batch
-
-_SIZES = ((40037, 53003), (91009, 67003))  # of images that show what depends on their size; larger than any crop
 
 
 class ListPlan(NamedTuple):
@@ -54,7 +53,7 @@ def list_plan(module: Any) -> ListPlan | None:
 def _list_plan(module: Any) -> ListPlan | None:
     if not hasattr(module, "_warp_list") or module._is_customized() or module._draws_by_name:
         return None
-    shapes, flags = [(1, 3, *size) for size in _SIZES], module.flags
+    shapes, flags = [(1, 3, *size) for size in SIZES], module.flags
     if not module.whole_batch or module.p_batch < 1 or module.matrix_transforms(shapes[0], flags) is None:
         return None
     first, second = (tuple(module.output_size(shape, flags)) for shape in shapes)
@@ -85,19 +84,6 @@ def _numbered(request: Request | None) -> Iterator[tuple[int, Any]]:
 
 def _numbers(request: Request | None) -> list[float]:
     return [] if request is None else [request.p, request.p_batch, *(n for draw in request.draws for n in draw.numbers)]
-
-
-def check_start(op: str, children: Sequence[Child], once: bool) -> Any:
-    """The first child; raise unless it makes a list of images a batch."""
-    if once:
-        raise TypeCheckError(f"{op}: expected a batch for resample='once', got a list of images")
-    if not children or list_plan(children[0].module) is None:
-        got = type(children[0].module).__name__ if children else "no child"
-        raise TypeCheckError(
-            f"{op}: expected a list of images to meet an augmentation of a fixed size and p=1 first, as RandomResizedCrop or "
-            f"Resize((height, width)), got {got}"
-        )
-    return children[0].module
 
 
 # --- the call -------------------------------------------------------------------------------------------------------
@@ -149,6 +135,8 @@ class ListWarp(Warp):
 class ListExecution(Execution):
     """The call of the first augmentation on a list; its parameters are read from the device when they are asked for."""
 
+    is_of_list = True
+
     def __init__(self, shapes: Sequence[tuple[int, ...]], sizes: Sequence[int], module: Any, values: Tensor) -> None:
         self._sizes, self._module, self._values = sizes, module, values
         self._named: dict[str, Any] | None = None
@@ -163,7 +151,9 @@ class ListExecution(Execution):
                 each.append(generator.to_params(values[b : b + 1], (1, self.shape[1], *self._sizes[2 * b : 2 * b + 2])))
             self._named = {name: torch.cat([params[name] for params in each]) for name in (each[0] if each else ())}
             self._named["batch_prob"] = torch.ones(count, device="cpu")
-            self._named["forward_input_shape"] = torch.tensor(self.shape, device="cpu")
+            sides, channels = self._sizes, self.shape[1]
+            shapes = [[1, channels, *sides[2 * b : 2 * b + 2]] for b in range(count)]
+            self._named["forward_input_shape"] = torch.tensor(shapes, device="cpu")
         return self._named
 
     @params.setter

@@ -13,14 +13,9 @@ from torch import Generator, Tensor, nn
 
 from kvision import _check
 from kvision._choices import OutputType, WindowPadding
-from kvision.augmentation.engine.image_sequential import (
-    AnyParamItem,
-    ImageSequential,
-    ParamItem,
-    checked_items,
-    item_of,
-)
-from kvision.augmentation.engine.record import Child, Record
+from kvision.augmentation.engine.image_sequential import ImageSequential, checked_items
+from kvision.augmentation.engine.list_calls import Sizes
+from kvision.augmentation.engine.record import AnyParamItem, Child, ParamItem, Record, item_of
 from kvision.augmentation.engine.runs import CallContext, execute
 from kvision.augmentation.engine.stages import Cells, Chain
 from kvision.augmentation.engine.turns import Turn, execute_turns, turns_of
@@ -76,7 +71,7 @@ class PatchSequential(ImageSequential):
         tensor([[[[1., 1., 0., 0.]]]])
     """
 
-    takes_lists = False
+    _item_field = "param"
 
     def __init__(
         self,
@@ -109,6 +104,13 @@ class PatchSequential(ImageSequential):
                 "patchwise_apply=False"
             )
         self.padding, self.patchwise_apply = padding, patchwise_apply
+
+    def _sizes_after(self, sizes: Sizes) -> Sizes | None:
+        return sizes if self.padding == "same" else None
+
+    @property
+    def _reads_lists(self) -> bool:
+        return False
 
     # --- cells ---
 
@@ -169,7 +171,8 @@ class PatchSequential(ImageSequential):
         """Augment the cells of images.
 
         Args:
-            input: images (B, C, H, W), (C, H, W) or (H, W) of a floating-point type or uint8; or a pair of them and matrices.
+            input: images (B, C, H, W), (C, H, W) or (H, W) of a floating-point type or uint8; a list of images (C, H, W) of
+                different sizes, each of which has a grid of its own; or a pair of images and matrices.
             params: the `_params` of an earlier call, to repeat it on these images.
             extra_args: accepted for code written for Kornia.
             seed: an int, or int64 (B,) with one of a sample, from which all parameters follow.

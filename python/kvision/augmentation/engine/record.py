@@ -8,8 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
+import torch
 from torch import Tensor, nn
 
 from kvision.augmentation.engine.stages import Chain
@@ -40,6 +41,41 @@ class Child:
             return self.foreign_params
         record = self.record if self.rows is None else self.record.of_rows(self.rows)
         return self.module._read_params(record)  # type: ignore[operator]
+
+
+class ParamItem(NamedTuple):
+    """The parameters of an executed child: its name in the container, and its `_params`; None for other modules."""
+
+    name: str
+    data: Any
+
+
+class SomeParamItem(NamedTuple):
+    """Those of a child that some samples of a batch got, which `samples` (B,) says on the CPU; `data` are those of these alone."""
+
+    name: str
+    data: Any
+    samples: Tensor
+
+
+AnyParamItem = ParamItem | SomeParamItem
+
+
+def item_of(child: Child) -> AnyParamItem:
+    """The parameters of an executed child."""
+    if child.samples is None:
+        return ParamItem(child.name, child.read_params())
+    samples = torch.zeros(child.batch, dtype=torch.bool, device="cpu")
+    samples[list(child.samples)] = True
+    return SomeParamItem(child.name, child.read_params(), samples)
+
+
+def child_of(item: Any, module: nn.Module) -> Child:
+    """A child with the parameters that it replays."""
+    samples = getattr(item, "samples", None)
+    if samples is None:
+        return Child(item.name, module, item.data)
+    return Child(item.name, module, item.data, samples=samples.nonzero()[:, 0].tolist(), batch=len(samples))
 
 
 class Record:

@@ -34,7 +34,7 @@ from kvision.augmentation.engine.call_labels import CallLabels
 from kvision.augmentation.engine.configuration import Plans
 from kvision.augmentation.engine.declaration import size_of
 from kvision.augmentation.engine.execution import Execution, Shape, matrix_type
-from kvision.augmentation.engine.lists import check_start, execute_list
+from kvision.augmentation.engine.lists import execute_list
 from kvision.augmentation.engine.passes import Planned, Running, Step, plan_steps
 from kvision.augmentation.engine.record import Child
 from kvision.augmentation.engine.stages import Applied, Chain, Stage
@@ -130,7 +130,8 @@ def _execute_list(
     images: list[Tensor], children: Sequence[Child], context: CallContext, position: int
 ) -> tuple[Tensor, Stage, int]:
     """The first child on a list of images, which it makes a batch; whether it has drawn, too."""
-    module, keys = check_start(context.op, children, context.once), None
+    module: Any = children[0].module
+    keys = None
     if children[0].params is None and module._request((len(images), *images[0].shape)) is not None:
         keys = _more_keys(None, [module], images[0], context)
         if keys.seeds is not None:

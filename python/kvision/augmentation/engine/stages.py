@@ -11,7 +11,6 @@ from torch import Tensor
 
 from kvision._dtype import compute_dtype
 from kvision.augmentation import maps
-from kvision.augmentation.engine.augmentation import AugmentationBase
 from kvision.augmentation.engine.execution import Execution
 from kvision.augmentation.labels import BoxFilter
 from kvision.augmentation.maps import warp, warp_labels
@@ -238,7 +237,7 @@ class Warp(Stage):
 class Applied(Stage):
     """An augmentation that ran by itself."""
 
-    module: AugmentationBase
+    module: Any  # an AugmentationBase, which imports this module
     execution: Execution
     flags: dict[str, Any]
 

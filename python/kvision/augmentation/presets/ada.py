@@ -189,6 +189,8 @@ class AdaptiveDiscriminatorAugmentation(AugmentationSequential):
         )
 
     def _invert_all(self, keys: list[DataKey], inputs: list[Any], params: Any) -> list[Any]:
+        if self._parts_of(params) is not None:
+            return super()._invert_all(keys, inputs, params)
         chosen = _chosen_of(self._params if params is None else params)
         outputs = super()._invert_all(keys, inputs, None if params is None else params[:-1])
         return [_where(chosen, new, old) for new, old in zip(outputs, inputs)]

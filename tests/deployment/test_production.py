@@ -80,7 +80,7 @@ torch.testing.assert_close(torch._inductor.aoti_load_package(package)(case["imag
 assert not any(name.startswith("kvision") for name in sys.modules)
 """
     served = {"cpu", device.type} - _backend.unserved.keys()
-    libraries = [_backend.LIBRARY_FOLDER / _backend._LIBRARIES[d] for d in served]
+    libraries = [_backend.LIBRARY_FOLDER / _backend.LIBRARIES[d] for d in served]
     subprocess.run([sys.executable, "-c", script, package, tmp_path / "case.pt", *sorted(libraries)], check=True)
 
 

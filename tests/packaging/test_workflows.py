@@ -77,7 +77,10 @@ def test_commands_are_here(path: Path) -> None:
                 assert words[1] in targets, line
                 for files in re.findall(r"TESTS=(\S+)", line):
                     assert (ROOT / files).exists(), line
-            if words[0] == "python":
+            if words[:2] == ["python", "-m"]:
+                tests = [word for word in words if word.startswith("tests/")]
+                assert all((ROOT / test).exists() for test in tests), line
+            elif words[0] == "python":
                 command = (sys.executable, ROOT / words[1], "--help")
                 text = subprocess.run(command, check=True, capture_output=True, text=True).stdout
                 assert set(re.findall(r"(--\w+)", line)) <= set(re.findall(r"(--\w+)", text)), line

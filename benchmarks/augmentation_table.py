@@ -3,14 +3,12 @@
 Median wall time of eleven operations on one image of 224 to 600 pixels a side, and on batches of 1 to 128 images of 224. kvision,
 Kornia and torchvision are measured, as far as they are installed, on the CPU and, where there is one, on a GPU. The time of a GPU
 call ends when its result is ready. Every operation always acts. torchvision draws one set of parameters for a batch. Writes
-table.csv, table.json and, where matplotlib is installed, batches.png.
+table.csv, whose columns are images x side, and, where matplotlib is installed, batches.png.
 """
 
 from __future__ import annotations
 
 import argparse
-import csv
-import json
 import statistics
 import sys
 import warnings
@@ -23,7 +21,7 @@ import torch
 from torch import Tensor
 
 import kvision.augmentation as A
-from benchmarks import machine
+from benchmarks import machine, results
 from benchmarks.augmentation import JITTER, imported_libraries
 from benchmarks.case import photographs
 from benchmarks.peers import set_threads
@@ -31,6 +29,7 @@ from benchmarks.sobel_figure import wall_times
 from benchmarks.table import number
 
 SIZES, BATCHES = (224, 320, 448, 600), tuple(2**n for n in range(8))
+COLORS = {"kvision": "#0f766e", "kornia": "#c2410c", "torchvision": "#64748b"}
 
 # Operations of kvision and Kornia, which have the same names, and of torchvision; `n` is the side of the images.
 Make = Callable[[Any, int], Callable[[Tensor], Tensor]]
@@ -74,31 +73,30 @@ def calls(device: torch.device, libraries: dict[str, Any], batch: int, side: int
             yield name, library, call
 
 
-def plot(rows: Sequence[dict[str, Any]], title: str, path: Path) -> None:
-    """A panel for each operation: milliseconds against the size of the batch."""
-    import matplotlib
+def by_shape(rows: Sequence[dict[str, Any]]) -> list[dict[str, str]]:
+    """A row for each operation, library and device, with a column for each batch."""
+    table: dict[tuple[str, ...], dict[str, str]] = {}
+    for row in rows:
+        keys = {name: row[name] for name in ("operation", "library", "device")}
+        table.setdefault(tuple(keys.values()), keys)[f"{row['batch']}x{row['side']}"] = f"{row['ms']:.3g}"
+    return list(table.values())
 
-    matplotlib.use("Agg")
+
+def draw(rows: Sequence[dict[str, Any]], title: str) -> Any:
+    """A figure with a panel for each operation: milliseconds against the size of the batch."""
     from matplotlib import pyplot
 
     side = min(row["side"] for row in rows)
     rows = [row for row in rows if row["side"] == side]
-    lines = list(dict.fromkeys((row["library"], row["device"]) for row in rows))
-    libraries = list(dict.fromkeys(library for library, _ in lines))
-    figure, axes = pyplot.subplots(3, 4, figsize=(13, 8), sharex=True, sharey=True, layout="constrained")
+    ticks = sorted({row["batch"] for row in rows})
+    figure, axes = pyplot.subplots(3, 4, figsize=(10, 7), sharex=True, sharey=True, layout="constrained")
     for axis, name in zip(axes.flat, OPERATIONS):
-        for library, device in lines:
+        for library, device in dict.fromkeys((row["library"], row["device"]) for row in rows):
             own = [r for r in rows if (r["operation"], r["library"], r["device"]) == (name, library, device)]
-            style = {"color": f"C{libraries.index(library)}", "linestyle": "-" if device == "cuda" else "--"}
-            axis.loglog(
-                [r["batch"] for r in own],
-                [r["ms"] for r in own],
-                marker="o",
-                markersize=3,
-                label=f"{library} {device}",
-                **style,
-            )
-        ticks = sorted({row["batch"] for row in rows})
+            line = "-" if device == "cuda" else "--"
+            label = f"{library}, {'GPU' if device == 'cuda' else 'CPU'}"
+            xs, ys = [r["batch"] for r in own], [r["ms"] for r in own]
+            axis.loglog(xs, ys, line, color=COLORS[library], marker="o", markersize=3, label=label)
         axis.set_xscale("log", base=2)
         axis.set_xticks(ticks, list(map(str, ticks)))
         axis.yaxis.set_major_formatter("{x:g}")
@@ -108,10 +106,9 @@ def plot(rows: Sequence[dict[str, Any]], title: str, path: Path) -> None:
         axis.axis("off")
     figure.legend(*axes.flat[0].get_legend_handles_labels(), loc="lower right", frameon=False)
     figure.supxlabel(f"images in a batch (RGB, {side}x{side})")
-    figure.supylabel("ms a batch, median")
+    figure.supylabel("milliseconds a batch, median")
     figure.suptitle(title, fontsize=10)
-    figure.savefig(path, dpi=120)
-    pyplot.close(figure)
+    return figure
 
 
 def print_table(rows: Sequence[dict[str, Any]], by: str, values: Sequence[int], libraries: Sequence[str]) -> None:
@@ -135,10 +132,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parse.add_argument("--threads", type=int, default=1, help="of torch on the CPU (default 1)")
     parse.add_argument("--sizes", type=numbers, default=list(SIZES), help="sides of one image")
     parse.add_argument("--batches", type=numbers, default=list(BATCHES), help="numbers of images of the first size")
+    here = ["cpu", "cuda"] if torch.cuda.is_available() else ["cpu"]
+    parse.add_argument("--devices", nargs="+", choices=here, default=here)
     options = parse.parse_args(arguments)
     warnings.simplefilter("ignore")
     set_threads(options.threads)
-    devices = ["cpu", "cuda"] if torch.cuda.is_available() else ["cpu"]
+    devices = options.devices
     libraries = {"kvision": A, **imported_libraries()}
     about = machine.describe(
         torch.device(devices[-1]), [name for name in libraries if name != "kvision" and find_spec(name)]
@@ -167,15 +166,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print(f"\nbatches of {options.sizes[0]}x{options.sizes[0]}:")
     print_table([row for row in rows if row["side"] == options.sizes[0]], "batch", options.batches, list(libraries))
 
-    with (options.out / "table.csv").open("w", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
-    (options.out / "table.json").write_text(json.dumps({"machine": about, "rows": rows}, indent=1) + "\n")
+    made = f"# {about['hardware']} / {about['cpu']}, {about['threads']} CPU threads, torch {about['torch']}: `{about['command']}`"
+    results.write(options.out / "table.csv", [made, "# ms, medians, of images x side"], by_shape(rows))
     try:
-        plot(rows, f"Augmentation, {about['hardware']}, {about['threads']} CPU threads", options.out / "batches.png")
+        import matplotlib
     except ImportError:
         print("no batches.png: matplotlib is not installed")
+    else:
+        matplotlib.use("Agg")
+        figure = draw(rows, f"Augmentation, {about['hardware']}, {about['threads']} CPU threads")
+        figure.savefig(options.out / "batches.png", dpi=120)
     print(f"written to {options.out}")
     return 0
 

@@ -54,9 +54,9 @@ def test_finds_the_names_of_kornia(source: str, expected: list[tuple[int, str]])
     assert names(source) == expected
 
 
-def judged(source: str) -> dict[str, tuple[str, list[str]]]:
+def judged(source: str, page: str | None = PAGE) -> dict[str, tuple[str, list[str]]]:
     uses = migrate.kornia_uses(source)
-    rows = migrate.differences(PAGE)
+    rows = migrate.differences(page)
     return {use.name: migrate.judge([other for other in uses if other.name == use.name], rows) for use in uses}
 
 
@@ -91,6 +91,23 @@ def test_an_unknown_keyword_is_named() -> None:
     status, notes = judged("import kornia\nkornia.filters.sobel(x, normalized=True, radius=3)")["kornia.filters.sobel"]
     assert status == migrate.DIFFERENT and notes == ["no argument radius"]
     assert judged("import kornia\nkornia.filters.Sobel(eps=0.0)")["kornia.filters.Sobel"][0] == migrate.SAME
+
+
+@pytest.mark.parametrize(
+    "call, words",
+    [
+        ("augmentation.AugmentationSequential(data_keys=None)", "names of dict entries with a suffix"),
+        ("augmentation.ImageSequential(f)", "`to_pil`, `show`, `save` of"),
+        ("augmentation.RandomCutMixV2(cut_size=(0.1, 0.4))", "bounds the side of the window"),
+        ("augmentation.Normalize(0.5, 0.5)", "uint8 images"),
+        ("augmentation.RandomRotation(30.0)", "in the state dict -> not in the state dict"),
+        ("filters.box_blur(x, 3)", "uint8 images"),
+        ("geometry.ScalePyramid()", "in the state dict -> not in the state dict"),
+    ],
+)
+def test_what_bites_first_is_named(call: str, words: str) -> None:
+    status, notes = judged(f"import kornia\nkornia.{call}", page=None)[f"kornia.{call.partition('(')[0]}"]
+    assert status == migrate.DIFFERENT and any(words in note for note in notes), notes
 
 
 def test_the_page_of_differences_has_rows_for_every_module() -> None:

@@ -223,3 +223,11 @@ def test_containers_that_were_not_called_have_no_inverse(kind: Any, device: torc
     augment._params = called._params
     assert torch.equal(augment.inverse(x), x.flip(-1))
     assert torch.equal(copy.deepcopy(called).inverse(x, params=called._params), x.flip(-1))
+
+
+def test_masks_of_one_image_have_an_inverse(device: torch.device) -> None:
+    """As many axes as the image, for as many instances as there are."""
+    augment = A.AugmentationSequential(A.RandomHorizontalFlip(p=1.0), data_keys=["input", "mask"])
+    x, masks = torch.rand(3, 6, 8, device=device), torch.randint(0, 5, (2, 6, 8), device=device)
+    y, moved = augment(x, masks)
+    assert torch.equal(moved, masks.flip(-1)) and torch.equal(augment.inverse(y, moved)[1], masks)

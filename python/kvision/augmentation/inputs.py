@@ -15,6 +15,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._choices import OutputType
+from kvision._tv_tensors import TV_TENSORS, kind_of, plain
 from kvision.augmentation.labels import BOX_FORMATS
 from kvision.constants import DataKey
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
@@ -45,6 +46,22 @@ def image_and_matrix(module: Any, input: Any) -> tuple[Any, Tensor | None]:
             f"{op}: expected input to be a Tensor,{lists} or a tuple of one and of matrices, got {got}"
         )
     return input, None
+
+
+def plain_image(module: Any, x: Any) -> Any:
+    """An image of torchvision's class, or a video of a module that takes these, as a plain tensor; others as they are."""
+    if type(x) is Tensor or (kind := kind_of(x)) not in TV_TENSORS:
+        return x
+    op, name = type(module).__name__, type(x).__name__
+    if kind == "video" and not any(hasattr(m, "data_format") for m in module.modules()):
+        raise TypeCheckError(
+            f"{op}: expected an image, got tv_tensors.{name}, whose frames would draw by themselves; use VideoSequential"
+        )
+    if kind in ("mask", "boxes", "points"):
+        raise TypeCheckError(
+            f"{op}: expected an image, got tv_tensors.{name}; AugmentationSequential moves it with its image"
+        )
+    return plain(x)
 
 
 def is_image_list(module: Any, input: Any) -> bool:
@@ -160,11 +177,12 @@ class Entries(NamedTuple):
     names: list[str]
     keys: list[DataKey]
     values: list[Any]
+    data: Mapping[Any, Any]
 
-    def merged(self, data: Mapping[Any, Any], outputs: Sequence[Any]) -> dict[Any, Any]:
+    def merged(self, outputs: Sequence[Any]) -> dict[Any, Any]:
         """A new dict of what was given, in its order, with the results in place of what followed the images."""
         results = dict(zip(self.names, outputs))
-        return {name: results.get(name, value) for name, value in data.items()}
+        return {name: results.get(name, value) for name, value in self.data.items()}
 
 
 # Names of data, in lower case.
@@ -209,7 +227,7 @@ def parse_entries(
         first = next((name for name in images if _is_image(data[name], None, module)), None)
     image = None if first is None else image_of(module, data[first])
     like = image[0] if isinstance(image, tuple) and image else image
-    entries = Entries([], [], [])
+    entries = Entries([], [], [], data)
     for name in data if first is None else (first, *(name for name in data if name != first)):
         value, key = data[name], exact.get(name)
         if key is None and name in suffixed and (name == first or _fits(suffixed[name], value, like, module)):

@@ -8,9 +8,9 @@ from typing import Any
 import torch
 
 from kvision import _check
+from kvision._tv_tensors import kind_of
 from kvision.tv import functional as F
 from kvision.tv.geometry import drawn_window
-from kvision.tv.inputs import kind_of
 from kvision.tv.transform import (
     RandomTransform,
     Transform,

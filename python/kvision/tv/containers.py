@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from kvision import _check
 from kvision._torch_compat import tree_flatten, tree_unflatten
-from kvision.tv.inputs import kind_of, plain, wrap
+from kvision._tv_tensors import kind_of, plain, wrap
 from kvision.tv.transform import (
     Step,
     Transform,

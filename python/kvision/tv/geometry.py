@@ -9,6 +9,7 @@ from typing import Any
 import torch
 
 from kvision import _check
+from kvision._tv_tensors import kind_of, plain, wrap
 from kvision.tv import functional as F
 from kvision.tv.functional.geometry import (
     PADDING_MODES,
@@ -17,7 +18,6 @@ from kvision.tv.functional.geometry import (
     interpolation_name,
     perspective_coefficients,
 )
-from kvision.tv.inputs import kind_of, plain, wrap
 from kvision.tv.transform import (
     RandomTransform,
     Step,

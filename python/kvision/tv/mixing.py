@@ -12,10 +12,11 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._torch_compat import sample_dirichlet, tree_flatten, tree_unflatten
+from kvision._tv_tensors import kind_of, plain, wrap
 from kvision.tv import functional as F
 from kvision.tv.functional.values import largest
 from kvision.tv.geometry import Fill, Interpolation
-from kvision.tv.inputs import kind_of, pil_to_tensor, plain, to_pil_image, wrap
+from kvision.tv.inputs import pil_to_tensor, to_pil_image
 from kvision.tv.transform import Transform, fill_of, integer, size_of, unit
 from kvision.tv.values import labels_getter_of
 

@@ -16,18 +16,9 @@ from torch import nn
 
 from kvision import _check
 from kvision._torch_compat import tree_flatten, tree_unflatten
+from kvision._tv_tensors import TV_TENSORS, kind_of, plain, wrap
 from kvision.tv.functional.dispatch import takes
-from kvision.tv.inputs import (
-    EVERYTHING,
-    IMAGES,
-    LABELS,
-    TV_TENSORS,
-    channels_of,
-    height_and_width,
-    kind_of,
-    plain,
-    wrap,
-)
+from kvision.tv.inputs import EVERYTHING, IMAGES, LABELS, channels_of, height_and_width
 
 Step = tuple[str, Any]
 _EXPLICIT = frozenset({"image", "video", "pil"})

@@ -10,8 +10,9 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._torch_compat import tree_flatten, tree_unflatten
+from kvision._tv_tensors import TV_TENSORS, kind_of, plain, wrap
 from kvision.tv import functional as F
-from kvision.tv.inputs import PIXELS, TV_TENSORS, kind_of, plain, wrap
+from kvision.tv.inputs import PIXELS
 from kvision.tv.transform import Step, Transform
 
 

@@ -10,6 +10,7 @@ from torch import Generator, Tensor, nn
 
 from kvision import _check
 from kvision._clamp import clamp
+from kvision._tv_tensors import wrap
 from kvision.augmentation.columns import draw_columns
 from kvision.augmentation.draws import Request, uniform
 from kvision.augmentation.engine import (
@@ -20,7 +21,7 @@ from kvision.augmentation.engine import (
     Params,
     check_batch_of_params,
 )
-from kvision.augmentation.inputs import check_matrix, image_and_matrix
+from kvision.augmentation.inputs import check_matrix, image_and_matrix, plain_image
 from kvision.augmentation.keys import Seed, check_seeds, draw_keys
 from kvision.augmentation.samples import with_matrix
 from kvision.core.exceptions import TypeCheckError, ValueCheckError
@@ -215,7 +216,8 @@ class OperationBase(nn.Module):
         Returns:
             Images of the shape of `input`; with `return_transform` a pair of them and the matrices (B, 3, 3).
         """
-        image, before = image_and_matrix(self, input)
+        given, before = image_and_matrix(self, input)
+        image = plain_image(self, given)
         x = self.op.transform_tensor(image)
         if before is not None:
             check_matrix(self, before, x)
@@ -224,6 +226,7 @@ class OperationBase(nn.Module):
         y, execution = self._augment(x, params)
         returns = self.op.return_transform if return_transform is None else return_transform
         transform = self._matrix(params, execution) if returns else None
+        y = y if image is given else wrap(y, given)
         return with_matrix(y, before, None if transform is None else transform.to(y.device))
 
     def _execute_nested(self, x: Tensor, params: Params | None, context: CallContext) -> tuple[Tensor, Applied, Params]:

@@ -10,10 +10,18 @@ from torch import Generator, Tensor
 from typing_extensions import Self
 
 from kvision._modules import give_own_forward
+from kvision._tv_tensors import wrap
 from kvision.augmentation.engine.augment_list import augment_list, call_each_image
 from kvision.augmentation.engine.execution import Execution, Params, replaying
 from kvision.augmentation.engine.executor import Executor
-from kvision.augmentation.inputs import WIDE_INTEGERS, check_image, check_matrix, image_and_matrix, in_type_of
+from kvision.augmentation.inputs import (
+    WIDE_INTEGERS,
+    check_image,
+    check_matrix,
+    image_and_matrix,
+    in_type_of,
+    plain_image,
+)
 from kvision.augmentation.keys import Seed
 from kvision.augmentation.labels import box_edges, masks_as_batch
 from kvision.augmentation.maps import exact
@@ -97,9 +105,12 @@ class AugmentationBase(Executor, keeps_contract=True):
                 tensor and of matrices.
             ValueError: `input` has another number of axes; matrices have another shape.
         """
-        image, before = image_and_matrix(self, input)
-        if isinstance(image, list):
-            return self._call_on_list(image, params, seed, generator, return_transform, kwargs)
+        given, before = image_and_matrix(self, input)
+        if isinstance(given, list):
+            return self._call_on_list(
+                [plain_image(self, x) for x in given], params, seed, generator, return_transform, kwargs
+            )
+        image = plain_image(self, given)
         x = self.transform_tensor(image)
         if before is not None:
             check_matrix(self, before, x)
@@ -113,6 +124,8 @@ class AugmentationBase(Executor, keeps_contract=True):
                 y = self._run(x, execution, flags)
         if x is not image:
             y = self._restored(y, image)
+        if image is not given:
+            y = wrap(y, given)
         returns = self.return_transform if return_transform is None else return_transform
         return with_matrix(y, before, self._matrix(execution).to(y.device) if returns else None)
 

@@ -42,6 +42,7 @@ from kvision.augmentation.inputs import (
 )
 from kvision.augmentation.keys import Seed
 from kvision.augmentation.samples import inverse_at
+from kvision.augmentation.tv_samples import Sample, as_given, as_tensors, holds_tv_tensors, sample_of
 from kvision.constants import AnyDataKey, DataKey, DataKeys, Resample
 from kvision.core.exceptions import BaseError, ValueCheckError
 from kvision.geometry.transform.lists.arguments import largest_shape
@@ -61,6 +62,9 @@ class AugmentationSequential(ImageSequential):
     A map, elastic, thin-plate or fisheye, may fold, so that several pixels of the result read the same one of the image. A box is
     then around all pixels that read from inside it, and corners move outward to be so too; only where none does, it is outside
     of the image. A point is where the pixel is that reads nearest to it, or within 1.5 pixels of that, where it is read exactly.
+
+    Without data keys for its arguments, a call takes torchvision's tv_tensors, nested in any way, and returns the same classes:
+    images, masks, boxes of the formats XYXY, XYWH and CXCYWH, and key points. Other tensors pass through.
 
     With a VideoSequential among the children, images are videos (B, T, C, H, W) as its `data_format` says, masks likewise, and
     labels have the axes (B, T) instead of B. Other children give each frame its own parameters.
@@ -211,11 +215,14 @@ class AugmentationSequential(ImageSequential):
         if output_type != "pt":
             check_output_type(self, output_type)
         before = None
-        entries = self._entries(args) if len(args) == 1 and not isinstance(args[0], Tensor) else None
+        entries = self._sample(args, data_keys)
         if entries is None:
             keys, values = self._keys_of(args, data_keys), list(args)
         else:
             keys, values = entries.keys, entries.values
+        given = values if holds_tv_tensors(values) else None
+        if given is not None:
+            keys, values = as_tensors(self, keys, values, entries is not None)
         image = keys.index(DataKey.INPUT) if DataKey.INPUT in keys else None
         for value in values:
             if not isinstance(value, Tensor):
@@ -228,12 +235,14 @@ class AugmentationSequential(ImageSequential):
         else:
             outputs, record = self._call(keys, values, params, seed, generator, before)
         self._keep(record)
+        if given is not None:
+            outputs = as_given(outputs, given, keys)
         if image is not None:
             outputs[image] = self._with_matrix(outputs[image], before, return_transform, record)
         if output_type != "pt":
             outputs = [as_output_type(output, output_type, key) for output, key in zip(outputs, keys)]
         if entries is not None:
-            return entries.merged(args[0], outputs)
+            return entries.merged(outputs)
         return outputs[0] if len(outputs) == 1 else outputs
 
     def _convert(self, keys: Sequence[DataKey], values: list[Any], image: int | None) -> Tensor | None:
@@ -247,11 +256,18 @@ class AugmentationSequential(ImageSequential):
             values[i] = image_of(self, value) if is_image else label_of(key, value, like, self._keeps_axes())
         return before
 
-    def _entries(self, args: Sequence[Any]) -> Entries | None:
-        """What follows the images among the entries of a dict, if that is the argument."""
+    def _sample(self, args: Sequence[Any], data_keys: DataKeys | None) -> Entries | Sample | None:
+        """What follows the images among the entries of a dict, or among tv_tensors; None for arguments by their keys."""
+        op = "AugmentationSequential"
+        if len(args) == 1 and isinstance(args[0], Tensor):
+            return None
+        if data_keys is None and (self.data_keys is None or len(self.data_keys) != len(args) or len(args) == 1):
+            sample = sample_of(op, args, lambda data: parse_entries(op, data, self._names, self, set(data)))
+            if sample is not None:
+                return sample
         if len(args) != 1 or not isinstance(args[0], Mapping):
             return None
-        return parse_entries("AugmentationSequential", args[0], self._names, self, self._warned)
+        return parse_entries(op, args[0], self._names, self, self._warned)
 
     def _keys_of(self, args: Sequence[Any], data_keys: DataKeys | None) -> list[DataKey]:
         """The keys of arguments: those of the call, or else of the constructor."""
@@ -400,11 +416,20 @@ class AugmentationSequential(ImageSequential):
         Returns:
             What was given, moved back to the images before the call; one tensor for one key, else a list or a dict.
         """
-        entries = self._entries(args)
+        entries = self._sample(args, data_keys)
         if entries is not None:
-            return entries.merged(args[0], self._invert_all(entries.keys, entries.values, params))
-        keys = self.data_keys if data_keys is None else labels.parse_data_keys("AugmentationSequential", data_keys)
-        outputs = self._invert_all(keys or [DataKey.INPUT], list(args), params)
+            keys, values = entries.keys, entries.values
+        else:
+            keys = self.data_keys if data_keys is None else labels.parse_data_keys("AugmentationSequential", data_keys)
+            keys, values = keys or [DataKey.INPUT], list(args)
+        given = values if holds_tv_tensors(values) else None
+        if given is not None:
+            keys, values = as_tensors(self, keys, values, entries is not None)
+        outputs = self._invert_all(keys, values, params)
+        if given is not None:
+            outputs = as_given(outputs, given, keys)
+        if entries is not None:
+            return entries.merged(outputs)
         return outputs[0] if len(outputs) == 1 else outputs
 
     def _invert_all(self, keys: list[DataKey], inputs: list[Any], params: Any) -> list[Any]:
@@ -428,7 +453,7 @@ class AugmentationSequential(ImageSequential):
                 back = inverse_at(self.transform_tensor(value), size, stages.invert)
                 outputs.append(self._restored(back, value))
             elif key == DataKey.MASK:
-                outputs.append(_masks_back(value, stages, size))
+                outputs.append(_masks_back(value, stages, size, 1 if record.shape is None else record.shape[0]))
             elif key == DataKey.KEYPOINTS:
                 numbers = 2 if record.shape is None else len(record.shape) - 2
                 outputs.append(labels.move_points(value, stages.move_points_back, numbers))
@@ -450,16 +475,17 @@ def _no_image() -> Tensor:
     return torch.zeros(1, 1, 1, 1, device="cpu")
 
 
-def _masks_back(masks: Any, stages: Chain, size: Sequence[int]) -> Any:
-    """Masks (B, C, h, w), or a list of (N, h, w), moved back from results of a size."""
+def _masks_back(masks: Any, stages: Chain, size: Sequence[int], batch: int) -> Any:
+    """Masks of images, or a list of (N, h, w), moved back from results of a size, or of that of predictions."""
     if isinstance(masks, (list, tuple)):
         labels.check_tensors("the masks of an image", masks)
         if not masks:
             return masks
         padded, counts = labels.pad(masks)  # as many instances for each image
-        return type(masks)(row[:n] for row, n in zip(_masks_back(padded, stages, size), counts))
+        return type(masks)(row[:n] for row, n in zip(_masks_back(padded, stages, size, batch), counts))
     labels.check_tensors("mask", [masks])
-    return inverse_at(masks, size, stages.move_masks_back)
+    images = (batch, 1, *masks.shape[-len(size) :])
+    return labels.move_masks(masks, lambda x: inverse_at(x, size, stages.move_masks_back), images)
 
 
 class _NotRigidError(BaseError, RuntimeError):

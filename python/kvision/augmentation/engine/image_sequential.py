@@ -14,6 +14,7 @@ from kvision import _check
 from kvision._choices import EachOrOnce, OutputType
 from kvision._modules import give_own_forward
 from kvision._ops import FLOATS
+from kvision._tv_tensors import wrap
 from kvision.augmentation.engine.augmentation import AugmentationBase
 from kvision.augmentation.engine.choices import Choices
 from kvision.augmentation.engine.configuration import Plans, portable, settings_changed
@@ -61,6 +62,7 @@ from kvision.augmentation.inputs import (
     image_of,
     in_type_of,
     is_image_list,
+    plain_image,
 )
 from kvision.augmentation.keys import Seed, check_seeds, draw_keys, refuse_capture, refuse_graphs
 from kvision.augmentation.samples import (
@@ -572,7 +574,8 @@ class ImageSequential(ImageSequentialBase):
         """
         if output_type != "pt":
             check_output_type(self, output_type)
-        image, before = (input, None) if isinstance(input, Tensor) else image_and_matrix(self, image_of(self, input))
+        given, before = (input, None) if isinstance(input, Tensor) else image_and_matrix(self, image_of(self, input))
+        image = plain_image(self, given)
         x = self.transform_tensor(image)
         if before is not None:
             check_matrix(self, before, x)
@@ -582,7 +585,8 @@ class ImageSequential(ImageSequentialBase):
             y, record = self._execute(x, params, self._context(seed, generator))
             record.stages.forget()
         self._keep(record)
-        output = self._with_matrix(self._restored(y, image), before, return_transform, record)
+        y = self._restored(y, image)
+        output = self._with_matrix(y if image is given else wrap(y, given), before, return_transform, record)
         return output if output_type == "pt" else as_output_type(output, output_type)
 
     def _with_matrix(self, y: Any, before: Tensor | None, return_transform: bool | None, record: Record) -> Any:

@@ -10,6 +10,7 @@ from torch import Generator, Tensor, nn
 
 from kvision import _check
 from kvision._choices import EachOrOnce, OutputType
+from kvision._tv_tensors import wrap
 from kvision.augmentation.engine.image_sequential import ImageSequential, ParamItem
 from kvision.augmentation.engine.record import Record
 from kvision.augmentation.engine.runs import CallContext, Stage
@@ -20,6 +21,7 @@ from kvision.augmentation.inputs import (
     check_matrix,
     check_output_type,
     image_and_matrix,
+    plain_image,
 )
 from kvision.augmentation.keys import Seed
 from kvision.augmentation.samples import inverse_at
@@ -129,7 +131,8 @@ class VideoSequential(ImageSequential):
             ValueError: `input` has another number of axes.
         """
         check_output_type(self, output_type)
-        videos, before = image_and_matrix(self, input)
+        given, before = image_and_matrix(self, input)
+        videos = plain_image(self, given)
         layout = self._layout(videos)
         x = layout.frames(videos)
         if before is not None:
@@ -137,7 +140,7 @@ class VideoSequential(ImageSequential):
         frames, record = self._execute(x, params, self._of_frames(self._context(seed, generator), layout.sizes[1]))
         record.stages.forget()
         self._keep(record)
-        output = self._with_matrix(layout.videos(frames), before, return_transform, record)
+        output = self._with_matrix(wrap(layout.videos(frames), given), before, return_transform, record)
         return as_output_type(output, output_type)
 
     def _of_frames(self, context: CallContext, time: int) -> CallContext:

@@ -10,8 +10,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from kvision._tv_tensors import TV_TENSORS, kind_of, plain, wrap
 from kvision.core.exceptions import TypeCheckError
-from kvision.tv.inputs import IMAGES, LABELS, TV_TENSORS, kind_of, pil_to_tensor, plain, to_pil_image, wrap
+from kvision.tv.inputs import IMAGES, LABELS, pil_to_tensor, to_pil_image
 
 _registered: dict[str, dict[type, Callable[..., Any]]] = {}
 

@@ -8,10 +8,11 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from kvision._tv_tensors import kind_of
 from kvision.augmentation.erase import is_erased
 from kvision.core.exceptions import TypeCheckError
 from kvision.tv.functional.dispatch import functional
-from kvision.tv.inputs import channels_of, height_and_width, kind_of, pil_to_tensor, to_pil_image, tv_tensor
+from kvision.tv.inputs import channels_of, height_and_width, pil_to_tensor, to_pil_image, tv_tensor
 
 # A byte that is rounded after this shift is truncated: half a level below, but for rounding errors of integers.
 _HALF_A_LEVEL_DOWN = (-0.5 + 2.0**-10) / 255

@@ -1,0 +1,134 @@
+"""Samples with torchvision's tv_tensors: what each input is by its class, as tensors, and results of the same classes."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from kvision._torch_compat import tree_flatten, tree_unflatten
+from kvision._tv_tensors import TV_TENSORS, kind_of, plain, wrap
+from kvision.augmentation.inputs import plain_image
+from kvision.constants import DataKey
+from kvision.core.exceptions import TypeCheckError, ValueCheckError
+
+_KEYS = {
+    "image": DataKey.INPUT,
+    "video": DataKey.INPUT,
+    "mask": DataKey.MASK,
+    "boxes": DataKey.BBOX_XYXY,
+    "points": DataKey.KEYPOINTS,
+}
+_FORMATS = {"XYXY": DataKey.BBOX_XYXY, "XYWH": DataKey.BBOX_XYWH, "CXCYWH": DataKey.BBOX_XYXY}
+
+
+class Sample(NamedTuple):
+    """The inputs that follow the image among the leaves of nested arguments; the others pass through."""
+
+    flat: list[Any]
+    spec: Any
+    where: list[int]
+    keys: list[DataKey]
+
+    @property
+    def values(self) -> list[Any]:
+        return [self.flat[i] for i in self.where]
+
+    def merged(self, outputs: Sequence[Any]) -> Any:
+        """The arguments with the results in their places: one, or a list of several."""
+        results = dict(zip(self.where, outputs))
+        nested = tree_unflatten([results.get(i, value) for i, value in enumerate(self.flat)], self.spec)
+        return nested[0] if len(nested) == 1 else nested
+
+
+def holds_tv_tensors(values: Sequence[Any]) -> bool:
+    if "torchvision.tv_tensors" not in sys.modules:
+        return False
+    return any(type(x) is not Tensor and kind_of(x) in TV_TENSORS for x in values)
+
+
+def sample_of(op: str, args: Sequence[Any], named: Any) -> Sample | None:
+    """The sample that arguments with tv_tensors are, by their classes; None without any.
+
+    Further entries of a dict are data by their names, which `named` parses; other tensors pass through, as in torchvision. A plain
+    tensor is the image if no other is there and it is the first one.
+    """
+    if "torchvision.tv_tensors" not in sys.modules:
+        return None
+    flat, spec = tree_flatten(list(args))
+    keys = {i: _KEYS[kind] for i, x in enumerate(flat) if (kind := kind_of(x)) in _KEYS}
+    if not keys:
+        return None
+    if len(args) == 1 and isinstance(args[0], Mapping):
+        others = {
+            k: v for k, v in args[0].items() if kind_of(v) not in _KEYS and not holds_tv_tensors(tree_flatten(v)[0])
+        }
+        if others:
+            entries = named(others)
+            for key, value in zip(entries.keys, entries.values):
+                keys.update({i: key for i, x in enumerate(flat) if x is value})
+    if DataKey.INPUT not in keys.values():
+        first = next((i for i, x in enumerate(flat) if kind_of(x) in ("tensor", "pil") and i not in keys), None)
+        if first is None:
+            raise ValueCheckError(f"{op}: expected an image in the sample of tv_tensors")
+        keys[first] = DataKey.INPUT
+    where = sorted(keys)
+    return Sample(flat, spec, where, [keys[i] for i in where])
+
+
+def as_tensors(
+    module: Any, keys: list[DataKey], values: Sequence[Any], by_class: bool
+) -> tuple[list[DataKey], list[Any]]:
+    """Plain tensors in place of tv_tensors, with the keys of boxes by their format."""
+    op = type(module).__name__
+    size = next((v.shape[-2:] for k, v in zip(keys, values) if k == DataKey.INPUT and isinstance(v, Tensor)), None)
+    new_keys, tensors = list(keys), list(values)
+    for i, (key, value) in enumerate(zip(keys, values)):
+        kind = kind_of(value)
+        if key == DataKey.INPUT:
+            tensors[i] = plain_image(module, value)
+        elif kind in TV_TENSORS:
+            canvas = getattr(value, "canvas_size", None)
+            if canvas is not None and size is not None and tuple(canvas) != tuple(size):
+                raise ValueCheckError(f"{op}: expected a canvas_size of the image, {tuple(size)}, got {tuple(canvas)}")
+            tensors[i] = plain(value)
+            if kind == "boxes":
+                new_keys[i], tensors[i] = _boxes(op, key, value, by_class)
+    return new_keys, tensors
+
+
+def _boxes(op: str, key: DataKey, boxes: Any, by_class: bool) -> tuple[DataKey, Tensor]:
+    name = boxes.format.name
+    own = _FORMATS.get(name)
+    if own is None:
+        raise TypeCheckError(f"{op}: expected boxes of format XYXY, XYWH or CXCYWH, got {name}; use kvision.tv")
+    if not by_class and (own != key or name == "CXCYWH"):
+        raise ValueCheckError(f"{op}: expected boxes of the format of the data key {key.name.lower()}, got {name}")
+    numbers = plain(boxes)
+    numbers = numbers if numbers.is_floating_point() else numbers.float()
+    if name == "CXCYWH":
+        center, half = numbers[..., :2], numbers[..., 2:] / 2
+        numbers = torch.cat([center - half, center + half], -1)
+    return own, numbers
+
+
+def as_given(outputs: Sequence[Any], values: Sequence[Any], keys: Sequence[DataKey]) -> list[Any]:
+    """Results as the classes of tv_tensors that the inputs had, with the format of boxes and the size of the results."""
+    size = next((y.shape[-2:] for k, y in zip(keys, outputs) if k == DataKey.INPUT and isinstance(y, Tensor)), None)
+    results = []
+    for output, value in zip(outputs, values):
+        kind = kind_of(value)
+        if kind not in TV_TENSORS or not isinstance(output, Tensor):
+            results.append(output)
+            continue
+        if kind == "boxes" and value.format.name == "CXCYWH":
+            low, high = output[..., :2], output[..., 2:]
+            output = torch.cat([(low + high) / 2, high - low], -1)
+        if kind in ("boxes", "points") and not value.is_floating_point():
+            output = output.round().to(value.dtype)
+        changed = {"canvas_size": tuple(size)} if kind in ("boxes", "points") and size is not None else {}
+        results.append(wrap(output, value, **changed))
+    return results

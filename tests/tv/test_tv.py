@@ -459,6 +459,8 @@ def test_gradients_reach_the_image() -> None:
         lambda: tv.GaussianBlur(4),
         lambda: tv.Pad([1, 2, 3]),
         lambda: tv.JPEG(0),
+        lambda: tv.ElasticTransform(interpolation=None),
+        lambda: tv.RandAugment(interpolation="cubic"),
         lambda: tv.RandomChoice([tv.Identity()], p=[1, 2]),
         lambda: tv.Compose([]),
         lambda: F.resize(torch.zeros(3, 4, 4), 3, "cubic"),

@@ -22,6 +22,7 @@ from kvision.tv.transform import (
     RandomTransform,
     Step,
     Transform,
+    checked_interpolation,
     fill_of,
     integer,
     interval,
@@ -80,7 +81,7 @@ class _Resizing(Transform):
 
     def __init__(self, interpolation: Interpolation, antialias: bool | None) -> None:
         super().__init__()
-        self.interpolation, self.antialias = interpolation, antialias
+        self.interpolation, self.antialias = checked_interpolation(self, interpolation), antialias
 
     def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
         return self._call_kernel(F.resize, inpt, **params, interpolation=self.interpolation, antialias=self.antialias)
@@ -330,7 +331,7 @@ class RandomResizedCrop(Transform):
         super().__init__()
         self.size = two("RandomResizedCrop", "size", size)
         self.scale, self.ratio = (two("RandomResizedCrop", n, v, (2,)) for n, v in (("scale", scale), ("ratio", ratio)))
-        self.interpolation, self.antialias = interpolation, antialias
+        self.interpolation, self.antialias = checked_interpolation(self, interpolation), antialias
         self._log_ratio = torch.log(torch.tensor(self.ratio, device="cpu")).tolist()
 
     def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
@@ -515,7 +516,8 @@ class RandomRotation(Transform):
     ) -> None:
         super().__init__()
         self.degrees = interval("RandomRotation", "degrees", degrees)
-        self.interpolation, self.expand, self.center, self.fill = interpolation, expand, center, fill
+        self.interpolation = checked_interpolation(self, interpolation)
+        self.expand, self.center, self.fill = expand, center, fill
         self.draws = not expand
 
     def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
@@ -566,7 +568,7 @@ class RandomAffine(Transform):
             raise ValueError(f"RandomAffine: expected scale above 0, got {scale}")
         self.translate, self.scale = translate, scale
         self.shear = None if shear is None else interval("RandomAffine", "shear", shear, (2, 4))
-        self.interpolation, self.fill, self.center = interpolation, fill, center
+        self.interpolation, self.fill, self.center = checked_interpolation(self, interpolation), fill, center
 
     def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
         height, width = size_of(flat_inputs)
@@ -611,7 +613,8 @@ class RandomPerspective(RandomTransform):
     ) -> None:
         super().__init__(p)
         _check.fraction("RandomPerspective", "distortion_scale", distortion_scale)
-        self.distortion_scale, self.interpolation, self.fill = distortion_scale, interpolation, fill
+        self.interpolation = checked_interpolation(self, interpolation)
+        self.distortion_scale, self.fill = distortion_scale, fill
 
     def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
         height, width = size_of(flat_inputs)
@@ -654,7 +657,7 @@ class ElasticTransform(Transform):
     ) -> None:
         super().__init__()
         self.alpha, self.sigma = two("ElasticTransform", "alpha", alpha), two("ElasticTransform", "sigma", sigma)
-        self.interpolation, self.fill = interpolation, fill
+        self.interpolation, self.fill = checked_interpolation(self, interpolation), fill
 
     def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
         size = size_of(flat_inputs)

@@ -17,7 +17,7 @@ from kvision.tv import functional as F
 from kvision.tv.functional.values import largest
 from kvision.tv.geometry import Fill, Interpolation
 from kvision.tv.inputs import pil_to_tensor, to_pil_image
-from kvision.tv.transform import Transform, fill_of, integer, size_of, unit
+from kvision.tv.transform import Transform, checked_interpolation, fill_of, integer, size_of, unit
 from kvision.tv.values import labels_getter_of
 
 
@@ -202,7 +202,7 @@ class _Policy(Transform):
 
     def __init__(self, interpolation: Interpolation, fill: Fill) -> None:
         super().__init__()
-        self.interpolation, self.fill = interpolation, fill
+        self.interpolation, self.fill = checked_interpolation(self, interpolation), fill
 
     def check_inputs(self, flat_inputs: list[Any]) -> None:
         name, kinds = type(self).__name__, [kind_of(x) for x in flat_inputs]

@@ -18,6 +18,7 @@ from kvision import _check
 from kvision._torch_compat import tree_flatten, tree_unflatten
 from kvision._tv_tensors import TV_TENSORS, kind_of, plain, wrap
 from kvision.tv.functional.dispatch import takes
+from kvision.tv.functional.geometry import interpolation_name
 from kvision.tv.inputs import EVERYTHING, IMAGES, LABELS, channels_of, height_and_width
 
 Step = tuple[str, Any]
@@ -331,6 +332,11 @@ def interval(op: str, name: str, value: Any, counts: Sequence[int] = (2,)) -> li
             f"{op}: expected {name} to be a number or {' or '.join(map(str, counts))} of them, got {value!r}"
         )
     return [float(v) for v in value]
+
+
+def checked_interpolation(transform: Any, interpolation: Any) -> Any:
+    interpolation_name(type(transform).__name__, interpolation)
+    return interpolation
 
 
 def fill_of(fill: Any, x: Any) -> Any:

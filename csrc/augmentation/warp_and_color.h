@@ -16,7 +16,7 @@ struct WarpAndColor {
   color::Program<float> program;
 };
 
-// On the CPU a band of rows of a sample is processed at a time. Each has its own partial sum of a mean.
+// On the CPU a band of rows of a sample is processed at a time, by programs without a mean.
 constexpr int64_t kBandPixels = 8192;
 KV_HD int64_t rows_of_band(int64_t width) { return max(int64_t(1), kBandPixels / width); }
 KV_HD int64_t bands_of(int64_t height, int64_t width) {

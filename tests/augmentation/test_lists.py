@@ -89,6 +89,9 @@ def test_parameters_repeat_a_call_and_the_inverse_gives_each_size(device):
     assert params[0].data["input_size"].tolist() == [list(size) for size in SIZES]
     back = augment.inverse(results)
     assert [tuple(x.shape) for x in back] == [(3, *size) for size in SIZES]
+    known = augment.known_pixels(results)
+    assert [tuple(x.shape) for x in known] == [(1, *size) for size in SIZES]
+    assert all(torch.equal(a, b) for a, b in zip(known, augment.known_pixels(results, params=params)))
     assert_close(augment(images, params=params), results, 1e-4, 1e-4)
 
 
@@ -285,3 +288,29 @@ def test_draws_of_a_list(device):
             for options in ({"seed": 3}, {"seed": 3}, {"generator": torch.Generator().manual_seed(1)}, {})
         ]
         assert calls[0] == calls[1] and len(set(calls[0])) == 6 and len(set(map(tuple, calls))) == 3
+
+
+def test_masks_of_a_list_are_read_as_the_container_says(device):
+    images, fill = pictures(device, SMALL), {"mask": {"fill_value": 255}}
+    masks = [torch.zeros(1, *size, dtype=torch.uint8, device=device) for size in SMALL]
+    turn = A.AugmentationSequential(A.RandomRotation((90.0, 90.0), p=1.0), data_keys=["image", "mask"], extra_args=fill)
+    for (height, width), mask in zip(SMALL, turn(images, masks)[1]):
+        outside = height * width - min(height, width) ** 2
+        assert abs(int((mask == 255).sum()) - outside) <= 2 * max(height, width)  # centers of pixels may be on the edge
+
+
+@pytest.mark.tracing
+def test_a_list_image_by_image_has_no_graph():
+    augment = torch.compile(A.ImageSequential(A.RandomInvert(p=1.0)), fullgraph=True, backend="eager")
+    with pytest.raises(Exception, match=r"has no graph; call it outside of"):
+        augment(pictures("cpu", SMALL))
+
+
+def test_a_cuda_graph_would_repeat_the_draws_of_a_list():
+    if not torch.cuda.is_available():
+        pytest.skip("needs a GPU")
+    images, flip = pictures("cuda", SMALL), A.RandomHorizontalFlip(p=1.0)
+    flip(images, seed=0)
+    torch.cuda.synchronize()
+    with pytest.raises(RuntimeError, match="would repeat the draws"), torch.cuda.graph(torch.cuda.CUDAGraph()):
+        A.RandomAffine(20.0)(images)

@@ -107,7 +107,9 @@ def check_matrix(module: Any, matrix: Tensor, x: Tensor) -> None:
 
 def image_of(module: Any, value: Any) -> Any:
     """An image of NumPy or PIL, or a file, as a tensor for a container of images; others as they are."""
-    if isinstance(value, Tensor) or not (_is_foreign(value) or isinstance(value, (str, os.PathLike))):
+    if isinstance(value, (Tensor, list, tuple)):
+        return value
+    if not (_is_foreign(value) or isinstance(value, (str, os.PathLike))):
         return value
     if any(getattr(m, "axes", 3) > 3 or hasattr(m, "data_format") for m in module.modules()):
         return value  # whose axes are those of a volume or of a video

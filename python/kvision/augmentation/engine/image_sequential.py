@@ -462,7 +462,7 @@ class ImageSequential(ImageSequentialBase):
             y, stages = execute(x, children, context)
         shape = tuple(x.shape) if isinstance(x, Tensor) else largest_shape(x)
         record = Record(shape, children, stages)
-        record.size = tuple(y.shape[2:])
+        record.size, record.is_of_list = tuple(y.shape[2:]), isinstance(x, list)
         return y, record
 
     def _in_turns(
@@ -692,6 +692,8 @@ class ImageSequential(ImageSequentialBase):
         Returns:
             bool (B, 1, H, W), of the size that :meth:`inverse` gives; of a list a list of (1, H, W).
         """
+        if params is None and self._record.is_of_list:
+            params = self._params
         parts = self._parts_of(params, output)
         if parts is not None:
             return self._each_part(parts, output, lambda own, x: own.known_pixels(x))

@@ -127,6 +127,11 @@ def _gives_samples_sizes(module: Any, has_seeds: bool) -> bool:
 
 def seeds_of_list(op: str, count: int, seed: Seed, generator: Generator | None) -> Tensor:
     """A seed of each image (B,): those that are given, or what follows from one seed or from the key of a generator."""
+    if seed is None and torch.cuda.is_initialized() and torch.cuda.is_current_stream_capturing():
+        raise RuntimeError(
+            f"{op}: a CUDA graph would repeat the draws of a list of images of several sizes; give a seed, or begin with a crop or "
+            "resize to a fixed size"
+        )
     keys = draw_keys(op, 1, torch.device("cpu"), seed, generator)
     if keys.seeds is not None:
         check_seeds(op, keys, count)
@@ -167,7 +172,7 @@ def of_rows(op: str, key: DataKey, value: Any, rows: Sequence[int], count: int) 
         sizes = {x.shape for x in own}
         if len(sizes) > 1:
             raise ShapeError(f"{op}: expected further images of one size for images of one size, got {sorted(sizes)}")
-        return torch.stack(own)
+        return own[0][None] if len(own) == 1 else torch.stack(own)
     if key == DataKey.MASK:
         return [x[None] if isinstance(x, Tensor) and x.dim() == 2 else x for x in own]
     return own

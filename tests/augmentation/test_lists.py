@@ -288,6 +288,13 @@ def test_draws_of_a_list(device):
             for options in ({"seed": 3}, {"seed": 3}, {"generator": torch.Generator().manual_seed(1)}, {})
         ]
         assert calls[0] == calls[1] and len(set(calls[0])) == 6 and len(set(map(tuple, calls))) == 3
+    same = [A.RandomBrightness((0.5, 1.5), p=1.0, same_on_batch=True), A.RandomAffine(9.0, same_on_batch=True)]
+    for augment in (same[0], A.ImageSequential(*same), A.auto.RandAugment(1, 9, same_on_batch=True)):
+        augment(images)
+        params = augment._params if isinstance(augment._params, dict) else augment._params[0].data
+        assert all((value == value[0]).all() for name, value in params.items() if name != "forward_input_shape")
+    with pytest.raises(ValueError, match="one same_on_batch of all that draws"):
+        A.ImageSequential(same[0], A.RandomInvert())(images)
 
 
 def test_masks_of_a_list_are_read_as_the_container_says(device):

@@ -85,6 +85,7 @@ class PolicyAugmentBase(ImageSequential):
     """
 
     _top_level = LEVELS  # levels from 0 to this one are drawn
+    _draws_choices = True
 
     def __init__(
         self,

@@ -55,7 +55,7 @@ def augment_list(
     refuse_list(op, [module])
     rows_of = rows_of_parts(images, [module], False)
     if params is None and len(rows_of) > 1:
-        seed = seeds_of_list(op, count, seed, generator or module.generator)
+        seed = seeds_of_list(op, [module], count, seed, generator or module.generator)
     parts, results = [], []
     for rows in rows_of:
         x = of_rows(op, DataKey.INPUT, images, rows, count)

@@ -37,7 +37,7 @@ class ChoiceBase(ImageSequential):
         return_transform: calls return the image and the product of the matrices.
     """
 
-    chooses_for_samples = True
+    chooses_for_samples = _draws_choices = True
     children_are_certain = False  # a chosen child is executed, whatever its own p says
 
     def __init__(

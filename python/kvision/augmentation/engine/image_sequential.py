@@ -329,7 +329,12 @@ class ImageSequential(ImageSequentialBase):
         """Whether the first child makes a list a batch by one launch, so that the list is not taken image by image."""
         if self.random_apply is not None or self.resample == "once" or not len(self):
             return False
-        return list_plan(self[0]) is not None
+        return list_plan(next(iter(self._modules.values()))) is not None
+
+    @property
+    def _draws_choices(self) -> bool:
+        """Whether the container draws by itself, beside its children."""
+        return self.random_apply is not None
 
     def _sizes_after(self, sizes: Sizes) -> Sizes | None:
         """What the children make of two sizes; None where it depends on more than these."""
@@ -350,7 +355,7 @@ class ImageSequential(ImageSequentialBase):
         refuse_list(op, modules)
         rows_of = rows_of_parts(images, modules, isinstance(seed, Tensor) and seed.dim() == 1)
         if params is None and len(rows_of) > 1:
-            seed = seeds_of_list(op, count, seed, generator or self.generator)
+            seed = seeds_of_list(op, modules, count, seed, generator or self.generator)
         parts, each = [], []
         for rows in rows_of:
             own = self._of_rows(keys, inputs, rows, count)

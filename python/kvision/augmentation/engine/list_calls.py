@@ -21,7 +21,7 @@ from kvision.augmentation.engine.execution import Execution
 from kvision.augmentation.engine.record import Record, SomeParamItem
 from kvision.augmentation.keys import Seed, check_seeds, draw_keys
 from kvision.constants import DataKey
-from kvision.core.exceptions import ShapeError, TypeCheckError
+from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 
 _SEEDS = 1 << 24  # the position in the chain of draws of seeds, behind those of all augmentations and choices
 _SHAPE = "forward_input_shape"
@@ -125,8 +125,11 @@ def _gives_samples_sizes(module: Any, has_seeds: bool) -> bool:
     return bool(chooses) and module._sizes_after(SIZES) is None
 
 
-def seeds_of_list(op: str, count: int, seed: Seed, generator: Generator | None) -> Tensor:
-    """A seed of each image (B,): those that are given, or what follows from one seed or from the key of a generator."""
+def seeds_of_list(op: str, modules: Sequence[Any], count: int, seed: Seed, generator: Generator | None) -> Tensor:
+    """A seed of each image (B,): those that are given, or what follows from one seed or from the key of a generator.
+
+    They are one for all where all that draws has `same_on_batch`.
+    """
     if seed is None and torch.cuda.is_initialized() and torch.cuda.is_current_stream_capturing():
         raise RuntimeError(
             f"{op}: a CUDA graph would repeat the draws of a list of images of several sizes; give a seed, or begin with a crop or "
@@ -137,9 +140,25 @@ def seeds_of_list(op: str, count: int, seed: Seed, generator: Generator | None) 
         check_seeds(op, keys, count)
         return keys.seeds
     samples = torch.arange(count, device=keys.keys.device)
+    same = {is_same for is_same in map(_draws_same, modules) if is_same is not None}
+    if len(same) > 1:
+        raise ValueCheckError(
+            f"{op}: expected one same_on_batch of all that draws for images of several sizes, got True and False; give a seed of "
+            "each image"
+        )
+    samples = torch.zeros_like(samples) if same == {True} else samples
     zero = torch.zeros_like(samples)
     high, low, _, _ = philox(keys.keys[0], (zero, 0, samples, _SEEDS))
     return (high << 32) | low
+
+
+def _draws_same(module: Any) -> bool | None:
+    """Whether a module draws the same for all samples; None if it draws nothing."""
+    if hasattr(module, "output_shape"):
+        draws = module._draws_by_name or (module.p > 0 and module._request((1, 3, *SIZES[0])) is not None)
+    else:
+        draws = getattr(module, "_draws_choices", False)
+    return bool(module.same_on_batch) if draws else None
 
 
 def part_seed(

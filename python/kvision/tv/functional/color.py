@@ -74,6 +74,15 @@ def _gray(x: Tensor) -> Tensor:
 
 @functional()
 def rgb_to_grayscale(inpt: Tensor, num_output_channels: int = 1) -> Tensor:
+    """Make gray of RGB images (*, 3, H, W), as .2989 R + .587 G + .114 B.
+
+    Args:
+        inpt: a tensor, tv_tensor or PIL image.
+        num_output_channels: 1, or 3 for three equal ones.
+
+    Returns:
+        (*, num_output_channels, H, W) of the same type.
+    """
     if num_output_channels not in (1, 3):
         raise ValueError(f"rgb_to_grayscale: expected num_output_channels of 1 or 3, got {num_output_channels}")
     if not _is_rgb("rgb_to_grayscale", inpt):
@@ -87,6 +96,14 @@ def rgb_to_grayscale(inpt: Tensor, num_output_channels: int = 1) -> Tensor:
 
 @functional(pil=lambda image: image.convert("RGB"))
 def grayscale_to_rgb(inpt: Tensor) -> Tensor:
+    """Repeat the channel of gray images (*, 1, H, W) three times.
+
+    Args:
+        inpt: a tensor, tv_tensor or PIL image.
+
+    Returns:
+        (*, 3, H, W); images of three channels as they are.
+    """
     return inpt if inpt.shape[-3] >= 3 else repeated(inpt)
 
 
@@ -97,6 +114,12 @@ def _scaled(x: Tensor, factor: float) -> Tensor:
 
 @functional(each=_each(_scaled, "brightness_factor"))
 def adjust_brightness(inpt: Tensor, brightness_factor: float) -> Tensor:
+    """Multiply an image by a factor, clamped to black and white.
+
+    Args:
+        inpt: a tensor, tv_tensor or PIL image.
+        brightness_factor: 0 gives black, 1 the image.
+    """
     _check_factor("adjust_brightness", brightness_factor)
     return _scaled(inpt, brightness_factor)
 
@@ -119,6 +142,12 @@ def _blended(x: Tensor, factor: Tensor) -> Tensor:
 
 @functional(each=_each(_of_colors(_blended), "saturation_factor"))
 def adjust_saturation(inpt: Tensor, saturation_factor: float) -> Tensor:
+    """Interpolate between an image and its gray, or extrapolate.
+
+    Args:
+        inpt: a tensor, tv_tensor or PIL image.
+        saturation_factor: 0 gives gray, 1 the image.
+    """
     _check_factor("adjust_saturation", saturation_factor)
     return _saturated(inpt, saturation_factor) if _is_rgb("adjust_saturation", inpt) else inpt
 
@@ -133,6 +162,12 @@ def _around_mean(x: Tensor, factor: float) -> Tensor:
 
 @functional(each=_each(_around_mean, "contrast_factor"))
 def adjust_contrast(inpt: Tensor, contrast_factor: float) -> Tensor:
+    """Interpolate between an image and the mean of its gray, or extrapolate.
+
+    Args:
+        inpt: a tensor, tv_tensor or PIL image.
+        contrast_factor: 0 gives the mean, 1 the image.
+    """
     _check_factor("adjust_contrast", contrast_factor)
     _is_rgb("adjust_contrast", inpt)
     return _around_mean(inpt, contrast_factor)
@@ -150,6 +185,12 @@ def _rotated_hue(x: Tensor, turns: float) -> Tensor:
 
 @functional(each=_each(_of_colors(_rotated_hue), "hue_factor", -0.5, 0.5))
 def adjust_hue(inpt: Tensor, hue_factor: float) -> Tensor:
+    """Rotate the hue of an RGB image; gray images stay.
+
+    Args:
+        inpt: a tensor, tv_tensor or PIL image.
+        hue_factor: in turns, -.5 to .5.
+    """
     _check_factor("adjust_hue", hue_factor, -0.5, 0.5)
     return _rotated_hue(inpt, hue_factor) if _is_rgb("adjust_hue", inpt) and inpt.numel() else inpt
 
@@ -161,6 +202,13 @@ def _power(x: Tensor, gamma: float, gain: float) -> Tensor:
 
 @functional()
 def adjust_gamma(inpt: Tensor, gamma: float, gain: float = 1) -> Tensor:
+    """Raise an image, as a fraction of white, to a power.
+
+    Args:
+        inpt: a tensor, tv_tensor or PIL image.
+        gamma: the exponent, at least 0.
+        gain: a factor of the result.
+    """
     _check_factor("adjust_gamma", gamma)
     return _power(inpt, gamma, gain)
 
@@ -170,6 +218,12 @@ _sharpened = of_all_types(sharpness)
 
 @functional(each=_each(lambda x, factor: _sharpened(x, factor[:, 0, 0]), "sharpness_factor"))
 def adjust_sharpness(inpt: Tensor, sharpness_factor: float) -> Tensor:
+    """Interpolate between an image and its smoothed copy, or extrapolate; the border stays.
+
+    Args:
+        inpt: a tensor, tv_tensor or PIL image.
+        sharpness_factor: 0 gives the smoothed image, 1 the image, more sharpens.
+    """
     _check_factor("adjust_sharpness", sharpness_factor)
     _is_rgb("adjust_sharpness", inpt)
     return inpt if min(inpt.shape[-2:]) <= 2 else _sharpened(inpt, sharpness_factor)
@@ -177,6 +231,12 @@ def adjust_sharpness(inpt: Tensor, sharpness_factor: float) -> Tensor:
 
 @functional()
 def posterize(inpt: Tensor, bits: int) -> Tensor:
+    """Keep the high bits of values, of floats those of 2^bits levels.
+
+    Args:
+        inpt: a tensor, tv_tensor or PIL image.
+        bits: how many, 0 to 8.
+    """
     if not isinstance(bits, int) or not 0 <= bits <= 8:
         raise TypeCheckError(f"posterize: expected bits to be an int of 0 to 8, got {bits!r}")
     if inpt.is_floating_point():
@@ -188,6 +248,12 @@ def posterize(inpt: Tensor, bits: int) -> Tensor:
 
 @functional()
 def solarize(inpt: Tensor, threshold: float) -> Tensor:
+    """Invert the values of at least a threshold.
+
+    Args:
+        inpt: a tensor, tv_tensor or PIL image.
+        threshold: in the units of the image, up to white.
+    """
     white = largest(inpt.dtype)
     if threshold > white:
         raise TypeCheckError(f"solarize: expected a threshold of at most {white}, got {threshold}")
@@ -209,12 +275,22 @@ def _stretched(x: Tensor) -> Tensor:
 
 @functional()
 def autocontrast(inpt: Tensor) -> Tensor:
+    """Stretch each channel of each image to black and white; constant ones stay.
+
+    Args:
+        inpt: a tensor, tv_tensor or PIL image.
+    """
     _is_rgb("autocontrast", inpt)
     return _stretched(inpt) if inpt.numel() else inpt
 
 
 @functional()
 def equalize(inpt: Tensor) -> Tensor:
+    """Equalize the histogram of each channel of each image, of floats that of 256 levels.
+
+    Args:
+        inpt: a tensor, tv_tensor or PIL image.
+    """
     if inpt.numel() == 0:
         return inpt
     levels = to_dtype(inpt, torch.uint8, scale=True)
@@ -223,6 +299,11 @@ def equalize(inpt: Tensor) -> Tensor:
 
 @functional()
 def invert(inpt: Tensor) -> Tensor:
+    """Subtract an image from white.
+
+    Args:
+        inpt: a tensor, tv_tensor or PIL image.
+    """
     if inpt.is_floating_point():
         return 1.0 - inpt
     return ~inpt if inpt.dtype in (torch.uint8, torch.bool) else inpt ^ torch.iinfo(inpt.dtype).max
@@ -235,6 +316,12 @@ def _permute_each(x: Tensor, rows: list[dict[str, Any]]) -> Tensor:
 
 @functional(each=_permute_each)
 def permute_channels(inpt: Tensor, permutation: Sequence[int] | Tensor) -> Tensor:
+    """Put the channels of an image (*, C, H, W) in another order.
+
+    Args:
+        inpt: a tensor, tv_tensor or PIL image.
+        permutation: the source of each channel.
+    """
     if len(permutation) != inpt.shape[-3]:
         raise ValueError(
             f"permute_channels: expected a permutation of {inpt.shape[-3]} channels, got {len(permutation)}"
@@ -244,6 +331,14 @@ def permute_channels(inpt: Tensor, permutation: Sequence[int] | Tensor) -> Tenso
 
 @functional(pil=tensors_only("normalize"))
 def normalize(inpt: Tensor, mean: Sequence[float], std: Sequence[float], inplace: bool = False) -> Tensor:
+    """Subtract means from the channels of a floating-point image (*, C, H, W) and divide by standard deviations.
+
+    Args:
+        inpt: a tensor, tv_tensor or PIL image.
+        mean: one of each channel.
+        std: one of each channel.
+        inplace: write into the image.
+    """
     if not inpt.is_floating_point():
         raise TypeCheckError(
             f"normalize: expected floating point, got {inpt.dtype}; put ToDtype(torch.float32, scale=True) before"
@@ -279,6 +374,13 @@ def _blur_each(x: Tensor, rows: list[dict[str, Any]]) -> Any:
 def gaussian_blur(
     inpt: Tensor, kernel_size: int | Sequence[int], sigma: float | Sequence[float] | None = None
 ) -> Tensor:
+    """Smooth an image with a Gaussian, reflected at the border.
+
+    Args:
+        inpt: a tensor, tv_tensor or PIL image.
+        kernel_size: width and height of the window, odd, an int for both.
+        sigma: standard deviations along x and y in pixels, a number for both; default: .15 kernel_size + .35.
+    """
     kx, ky = _two_numbers("gaussian_blur", "kernel_size", kernel_size)
     if kx % 2 == 0 or ky % 2 == 0 or min(kx, ky) < 1:
         raise ValueError(f"gaussian_blur: expected odd kernel_size, got {kernel_size}")

@@ -61,11 +61,21 @@ def interpolation_name(op: str, interpolation: Any) -> str:
 
 @functional(moves=True, pil=lambda image: image.transpose(0))  # PIL.Image.Transpose.FLIP_LEFT_RIGHT
 def horizontal_flip(inpt: Tensor) -> Tensor:
+    """Mirror the columns.
+
+    Args:
+        inpt: a tensor, tv_tensor or PIL image.
+    """
     return inpt.flip(-1)
 
 
 @functional(moves=True, pil=lambda image: image.transpose(1))  # PIL.Image.Transpose.FLIP_TOP_BOTTOM
 def vertical_flip(inpt: Tensor) -> Tensor:
+    """Mirror the rows.
+
+    Args:
+        inpt: a tensor, tv_tensor or PIL image.
+    """
     return inpt.flip(-2)
 
 
@@ -89,6 +99,15 @@ def _are_inside(x: Tensor, rows: list[dict[str, Any]]) -> bool:
     each=_crop_each,
 )
 def crop(inpt: Tensor, top: int, left: int, height: int, width: int) -> Tensor:
+    """Cut a window out of an image, a view of a tensor where the window is inside; what is outside is 0.
+
+    Args:
+        inpt: a tensor, tv_tensor or PIL image.
+        top: first row.
+        left: first column.
+        height: of the window.
+        width: of the window.
+    """
     h, w = inpt.shape[-2:]
     bottom, right = top + height, left + width
     if top >= 0 and left >= 0 and bottom <= h and right <= w:
@@ -128,6 +147,12 @@ def _center_crop_pil(image: Any, output_size: Any) -> Any:
 
 @functional(moves=True, pil=_center_crop_pil)
 def center_crop(inpt: Tensor, output_size: int | Sequence[int]) -> Tensor:
+    """Cut the center out of an image, with 0 around smaller ones.
+
+    Args:
+        inpt: a tensor, tv_tensor or PIL image.
+        output_size: height and width, an int for both.
+    """
     size = _two("center_crop", "output_size", output_size)
     return crop(inpt, *_center(inpt.shape[-2], inpt.shape[-1], size), *size)
 
@@ -142,6 +167,12 @@ def _five(image: Any, height: int, width: int, size: Any) -> tuple[Any, ...]:
 
 @functional(pil=lambda image, size: _five(image, image.height, image.width, size))
 def five_crop(inpt: Tensor, size: int | Sequence[int]) -> tuple[Tensor, ...]:
+    """Cut out the corners and the center: upper left, upper right, lower left, lower right, center.
+
+    Args:
+        inpt: a tensor, tv_tensor or PIL image.
+        size: height and width, an int for both.
+    """
     return _five(inpt, inpt.shape[-2], inpt.shape[-1], size)
 
 
@@ -152,6 +183,13 @@ def _ten(image: Any, size: Any, vertical_flip_: bool) -> tuple[Any, ...]:
 
 @functional(pil=lambda image, size, vertical_flip=False: _ten(image, size, vertical_flip))
 def ten_crop(inpt: Tensor, size: int | Sequence[int], vertical_flip: bool = False) -> tuple[Tensor, ...]:
+    """Cut out the corners and the center of an image and of its mirror image.
+
+    Args:
+        inpt: a tensor, tv_tensor or PIL image.
+        size: height and width, an int for both.
+        vertical_flip: mirror the rows, not the columns.
+    """
     return _ten(inpt, size, vertical_flip)
 
 
@@ -207,6 +245,15 @@ def resize(
     max_size: int | None = None,
     antialias: bool | None = True,
 ) -> Tensor:
+    """Resize to a height and width, or by the shorter or the longer side; masks by the nearest pixel.
+
+    Args:
+        inpt: a tensor, tv_tensor or PIL image.
+        size: height and width; an int, or one in a sequence, for the shorter side; None where max_size has the longer one.
+        interpolation: 'nearest', 'nearest-exact', 'bilinear', 'bicubic' or 'lanczos', also as InterpolationMode or PIL's integer.
+        max_size: the longest that the longer side may become where size is of the shorter one.
+        antialias: where the image becomes smaller, average the pixels that a pixel of the result covers.
+    """
     mode: Any = interpolation_name("resize", interpolation)
     *leading, height, width = inpt.shape
     new = resized_size(height, width, size, max_size)
@@ -262,6 +309,18 @@ def resized_crop(
     interpolation: InterpolationMode | str | int = "bilinear",
     antialias: bool | None = True,
 ) -> Tensor:
+    """Cut a window out of an image and resize it.
+
+    Args:
+        inpt: a tensor, tv_tensor or PIL image.
+        top: first row.
+        left: first column.
+        height: of the window.
+        width: of the window.
+        size: as in :func:`resize`.
+        interpolation: as in :func:`resize`.
+        antialias: as in :func:`resize`.
+    """
     return resize(crop(inpt, top, left, height, width), size, interpolation, antialias=antialias)
 
 
@@ -294,6 +353,14 @@ def _pad_mask(mask: Tensor, padding: Any, fill: Any = None, padding_mode: str = 
 
 @functional(moves=True, mask=_pad_mask)
 def pad(inpt: Tensor, padding: int | Sequence[int], fill: Fill = None, padding_mode: str = "constant") -> Tensor:
+    """Add pixels at the borders.
+
+    Args:
+        inpt: a tensor, tv_tensor or PIL image.
+        padding: how many: an int; x and y; or left, top, right and bottom.
+        fill: a number, or one of each channel; None for 0.
+        padding_mode: 'constant', 'edge', 'reflect' or 'symmetric'.
+    """
     left, right, top, bottom = four_paddings(padding)
     _check.choice("pad", "padding_mode", padding_mode, PADDING_MODES)
     if isinstance(fill, (tuple, list)) and len(fill) == 1:
@@ -423,6 +490,18 @@ def affine(
     fill: Fill = None,
     center: Sequence[float] | None = None,
 ) -> Tensor:
+    """Warp by a rotation, translation, scale and shear around a center.
+
+    Args:
+        inpt: a tensor, tv_tensor or PIL image.
+        angle: in degrees, clockwise.
+        translate: x and y in pixels.
+        scale: above 0.
+        shear: along x, or along x and y, in degrees.
+        interpolation: 'nearest' or 'bilinear', also as InterpolationMode or PIL's integer.
+        fill: color of pixels from outside: a number, or one of each channel; None for 0.
+        center: x and y of what stays, from the upper left corner; None for the center.
+    """
     size = inpt.shape[-2], inpt.shape[-1]
     matrix = _matrix_of_affine(size, angle, translate, scale, shear, center)
     return _warp("affine", inpt, [matrix], size, interpolation, fill)
@@ -457,6 +536,16 @@ def rotate(
     center: Sequence[float] | None = None,
     fill: Fill = None,
 ) -> Tensor:
+    """Rotate counterclockwise.
+
+    Args:
+        inpt: a tensor, tv_tensor or PIL image.
+        angle: in degrees.
+        interpolation: 'nearest' or 'bilinear', also as InterpolationMode or PIL's integer.
+        expand: enlarge the result to hold the rotated image.
+        center: x and y of what stays, from the upper left corner; None for the center.
+        fill: color of pixels from outside: a number, or one of each channel; None for 0.
+    """
     height, width = inpt.shape[-2:]
     angle = angle % 360
     if center is None:
@@ -512,6 +601,16 @@ def perspective(
     fill: Fill = None,
     coefficients: Sequence[float] | None = None,
 ) -> Tensor:
+    """Warp by the perspective that takes four points to four others.
+
+    Args:
+        inpt: a tensor, tv_tensor or PIL image.
+        startpoints: four points (x, y) of the image.
+        endpoints: where they go.
+        interpolation: 'nearest' or 'bilinear', also as InterpolationMode or PIL's integer.
+        fill: color of pixels from outside: a number, or one of each channel; None for 0.
+        coefficients: a to h of x = (a u + b v + c) / (g u + h v + 1), y = (d u + e v + f) / (g u + h v + 1), in place of points.
+    """
     size = inpt.shape[-2], inpt.shape[-1]
     matrix = _matrix_of_perspective(size, startpoints, endpoints, coefficients)
     return _warp("perspective", inpt, [matrix], size, interpolation, fill)
@@ -526,6 +625,14 @@ def _elastic_each(x: Tensor, rows: list[dict[str, Any]]) -> Tensor:
 def elastic(
     inpt: Tensor, displacement: Tensor, interpolation: InterpolationMode | str | int = "bilinear", fill: Fill = None
 ) -> Tensor:
+    """Sample at displaced pixels.
+
+    Args:
+        inpt: a tensor, tv_tensor or PIL image.
+        displacement: x and y of each pixel, (1, H, W, 2), as fractions of half the width and height.
+        interpolation: 'nearest' or 'bilinear', also as InterpolationMode or PIL's integer.
+        fill: color of pixels from outside: a number, or one of each channel; None for 0.
+    """
     _check.shape("elastic", "displacement", displacement, 1, *inpt.shape[-2:], 2)
     return _elastic(inpt, displacement, interpolation, fill)
 

@@ -55,6 +55,13 @@ def _bits(dtype: torch.dtype) -> int:
     moves=True, pil=tensors_only("to_dtype"), mask=lambda mask, dtype=torch.float32, scale=False: mask.to(dtype)
 )
 def to_dtype(inpt: Tensor, dtype: torch.dtype = torch.float32, scale: bool = False) -> Tensor:
+    """Convert an image to another type; masks keep their values, boxes and key points are torchvision's.
+
+    Args:
+        inpt: a tensor, tv_tensor or PIL image.
+        dtype: the type.
+        scale: white stays white: 255 of uint8 is 1 of float32.
+    """
     if inpt.dtype == dtype:
         return inpt
     if not scale:
@@ -74,11 +81,25 @@ def to_dtype(inpt: Tensor, dtype: torch.dtype = torch.float32, scale: bool = Fal
 
 
 def convert_image_dtype(image: Tensor, dtype: torch.dtype = torch.float32) -> Tensor:
+    """Convert an image to another type; white stays white.
+
+    Args:
+        image: a tensor, tv_tensor or PIL image.
+        dtype: the type.
+    """
     return to_dtype(image, dtype, scale=True)
 
 
 @functional(pil=tensors_only("gaussian_noise"))
 def gaussian_noise(inpt: Tensor, mean: float = 0.0, sigma: float = 0.1, clip: bool = True) -> Tensor:
+    """Add normally distributed noise to an image of floating point or uint8.
+
+    Args:
+        inpt: a tensor, tv_tensor or PIL image.
+        mean: of the noise, as a fraction of white.
+        sigma: its standard deviation.
+        clip: keep values between black and white; without it bytes wrap.
+    """
     if sigma < 0:
         raise ValueError(f"gaussian_noise: expected a sigma of at least 0, got {sigma}")
     if inpt.is_floating_point():
@@ -102,6 +123,17 @@ def _erase_each(x: Tensor, rows: list[dict[str, Any]]) -> Any:
 
 @functional(each=_erase_each)
 def erase(inpt: Tensor, i: int, j: int, h: int, w: int, v: Tensor, inplace: bool = False) -> Tensor:
+    """Set a window of an image (*, C, H, W) to a value.
+
+    Args:
+        inpt: a tensor, tv_tensor or PIL image.
+        i: first row.
+        j: first column.
+        h: height.
+        w: width.
+        v: the value, which broadcasts to (C, h, w).
+        inplace: write into the image.
+    """
     output = inpt if inplace else inpt.clone()
     output[..., i : i + h, j : j + w] = v
     return output
@@ -119,6 +151,12 @@ def _jpeg_pil(image: Any, quality: int) -> Any:
 
 @functional(pil=_jpeg_pil)
 def jpeg(image: Tensor, quality: int) -> Tensor:
+    """Compress and decompress a uint8 image of 1 or 3 channels, by torchvision's codec or, without it, Pillow's.
+
+    Args:
+        image: a tensor, tv_tensor or PIL image.
+        quality: 1 to 100.
+    """
     if image.dtype != torch.uint8 or image.shape[-3] not in (1, 3):
         raise TypeCheckError(f"jpeg: expected uint8 of 1 or 3 channels, got {image.dtype} {tuple(image.shape)}")
     batch = image.reshape(-1, *image.shape[-3:])
@@ -135,6 +173,12 @@ def jpeg(image: Tensor, quality: int) -> Tensor:
 
 @functional()
 def uniform_temporal_subsample(inpt: Tensor, num_samples: int) -> Tensor:
+    """Choose frames at equal distances from videos (*, T, C, H, W), the first and the last among them.
+
+    Args:
+        inpt: a tensor, tv_tensor or PIL image.
+        num_samples: how many.
+    """
     if inpt.dim() < 4:
         raise ValueError(f"uniform_temporal_subsample: expected a video (*, T, C, H, W), got {tuple(inpt.shape)}")
     frames = torch.linspace(0, inpt.shape[-4] - 1, num_samples, device=inpt.device).long()
@@ -157,22 +201,47 @@ def to_image(inpt: Any) -> Tensor:
 
 
 def get_dimensions(inpt: Any) -> list[int]:
+    """Channels, height and width.
+
+    Args:
+        inpt: a tensor, tv_tensor or PIL image.
+    """
     return [channels_of(inpt), *height_and_width(inpt)]
 
 
 def get_num_channels(inpt: Any) -> int:
+    """The number of channels.
+
+    Args:
+        inpt: a tensor, tv_tensor or PIL image.
+    """
     return channels_of(inpt)
 
 
 def get_size(inpt: Any) -> list[int]:
+    """Height and width, of boxes and key points those of their canvas.
+
+    Args:
+        inpt: a tensor, tv_tensor or PIL image.
+    """
     return list(height_and_width(inpt))
 
 
 def get_num_frames(inpt: Tensor) -> int:
+    """The number of frames of a video (*, T, C, H, W).
+
+    Args:
+        inpt: a video.
+    """
     return inpt.shape[-4]
 
 
 def is_pure_tensor(inpt: Any) -> bool:
+    """Whether an input is a tensor of none of torchvision's classes.
+
+    Args:
+        inpt: a tensor, tv_tensor or PIL image.
+    """
     return kind_of(inpt) == "tensor"
 
 

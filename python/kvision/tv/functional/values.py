@@ -9,7 +9,6 @@ import torch
 from torch import Tensor
 
 from kvision._tv_tensors import kind_of
-from kvision.augmentation.erase import is_erased
 from kvision.core.exceptions import TypeCheckError
 from kvision.tv.functional.dispatch import functional
 from kvision.tv.inputs import channels_of, height_and_width, pil_to_tensor, to_pil_image, tv_tensor
@@ -116,9 +115,11 @@ def _erase_each(x: Tensor, rows: list[dict[str, Any]]) -> Any:
     colors = [row["v"].flatten() for row in rows]
     if rows[0]["inplace"] or any(len(c) not in (1, x.shape[1]) for c in colors):
         return NotImplemented
-    boxes = torch.tensor([[row[name] for name in ("j", "i", "w", "h")] for row in rows], device=x.device)
+    top, left, height, width = torch.tensor([[row[n] for n in "ijhw"] for row in rows], device=x.device).T[..., None]
+    y, column = (torch.arange(n, device=x.device) for n in x.shape[-2:])
+    is_row, is_column = (y >= top) & (y < top + height), (column >= left) & (column < left + width)
     fill = torch.stack(colors).to(x.device, x.dtype)[..., None, None]
-    return torch.where(is_erased(x, boxes), fill, x)
+    return torch.where(is_row[:, None, :, None] & is_column[:, None, None], fill, x)
 
 
 @functional(each=_erase_each)

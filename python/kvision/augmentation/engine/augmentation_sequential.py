@@ -420,8 +420,8 @@ class AugmentationSequential(ImageSequential):
         if entries is not None:
             keys, values = entries.keys, entries.values
         else:
-            keys = self.data_keys if data_keys is None else labels.parse_data_keys("AugmentationSequential", data_keys)
-            keys, values = keys or [DataKey.INPUT], list(args)
+            known = self.data_keys if data_keys is None else labels.parse_data_keys("AugmentationSequential", data_keys)
+            keys, values = known or [DataKey.INPUT], list(args)
         given = values if holds_tv_tensors(values) else None
         if given is not None:
             keys, values = as_tensors(self, keys, values, entries is not None)

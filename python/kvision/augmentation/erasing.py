@@ -39,6 +39,8 @@ class RandomErasing(IntensityAugmentationBase2D, keeps_contract=True):
         tensor(12.)
     """
 
+    keeps_unchosen = True
+
     def __init__(
         self,
         scale: Numbers = (0.02, 0.33),

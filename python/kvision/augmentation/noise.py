@@ -211,22 +211,24 @@ class PixelNoise(NamedTuple):
     number: int  # of the augmentation, as draw_columns counts
     same_on_batch: bool
     device: torch.device
+    chosen: Tensor | None = None  # (B,), as the operators take it
 
-    def arguments(self, map: int = 0) -> tuple[Tensor, Tensor | None, None, tuple[int, int, int, int]]:
-        """The arguments of the operators after the parameters, for all samples."""
+    def arguments(self, map: int = 0) -> tuple[Tensor, Tensor | None, Tensor | None, tuple[int, int, int, int]]:
+        """The arguments of the operators after the parameters."""
         plan = noise_plan(self.number, self.keys.has_seed, self.same_on_batch, map)
-        return self.keys.keys, self.keys.seeds_on(self.device), None, plan
+        return self.keys.keys, self.keys.seeds_on(self.device), self.chosen, plan
 
     def uniform(self, shape: Sequence[int], map: int = 0) -> Tensor:
         """Uniform noise (B, C, H, W) in [0, 1], float64."""
-        return self.symmetric(shape, torch.float64, map).add_(1).mul_(0.5)
+        return self._between(0.5, 0.5, shape, torch.float64, map)
 
-    def symmetric(self, shape: Sequence[int], dtype: torch.dtype = torch.float32, map: int = 0) -> Tensor:
-        """Uniform noise (B, C, H, W) in [-1, 1]."""
+    def symmetric(self, shape: Sequence[int], map: int = 0) -> Tensor:
+        """Uniform noise (B, C, H, W) in [-1, 1], float32."""
+        return self._between(0.0, 1.0, shape, torch.float32, map)
+
+    def _between(self, mean: float, scale: float, shape: Sequence[int], dtype: torch.dtype, map: int) -> Tensor:
         zero = torch.zeros(tuple(shape), dtype=dtype, device=self.device)
-        parameters = zero.new_ones(1, 2)
-        parameters[:, 0].zero_()
-        noise: Tensor = uniform_noise(zero, parameters, *self.arguments(map))
+        noise: Tensor = uniform_noise(zero, constant(((mean, scale),), zero), *self.arguments(map))
         return noise
 
     def normal(self, shape: Sequence[int], map: int = 0) -> Tensor:

@@ -127,7 +127,7 @@ def _brightness(x: Tensor, drawn: Params, change: float) -> Tensor:
 
 def _contrast(x: Tensor, drawn: Params, factor: float) -> Tensor:
     mean = x.mean((2, 3), keepdim=True)
-    return (x - mean) * factor + mean
+    return torch.lerp(mean, x, factor)
 
 
 def _saturate(x: Tensor, drawn: Params, factor: float, change: float) -> Tensor:

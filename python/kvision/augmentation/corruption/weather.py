@@ -27,9 +27,10 @@ _MUD = (63 / 255, 42 / 255, 20 / 255)
 def fogged(x: Tensor, plasma: Tensor, amount: Tensor) -> Tensor:
     """Images under clouds (B, 1, H, W), stretched to [0, 1], of amounts (B, 1, 1, 1); the brightest value stays as it is."""
     low, high = plasma.amin((2, 3), keepdim=True), plasma.amax((2, 3), keepdim=True)
-    clouds = (plasma - low) / (high - low).clamp(min=1e-12)
     brightest = x.amax((1, 2, 3), keepdim=True)
-    return clamp((x + amount * clouds) * brightest / (brightest + amount).clamp(min=1e-12), 0, 1)
+    darker = brightest / (brightest + amount).clamp(min=1e-12)
+    clouds = (plasma - low) * (darker * amount / (high - low).clamp(min=1e-12))
+    return clamp(torch.addcmul(clouds, x, darker), 0, 1)
 
 
 class RandomFog(IntensityAugmentationBase2D, keeps_contract=True):

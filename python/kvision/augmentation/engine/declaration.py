@@ -73,6 +73,7 @@ class Declaration(KeepsArguments):
     mixes_samples: ClassVar[bool] = False  # of the batch
     moves_by_map: ClassVar[bool] = False  # as MapAugmentation does
     keeps_positions: ClassVar[bool] = False  # of all pixels, so that labels stay as they are
+    keeps_unchosen: ClassVar[bool] = False  # the drawn columns of samples that are not chosen leave them as they are
     fuses_noise: ClassVar[bool] = False  # `apply_transform` takes "_noise" instead of the parameters of pixels
 
     _own_methods: ClassVar[dict[str, Any]]  # by name, those of the class in `_REPLACEABLE` that keep the contract below

@@ -173,7 +173,7 @@ class Executor(Declaration):
         if generator.per_pixel and execution.redraw is not None:
             noise = PixelNoise(*execution.redraw, self.same_on_batch, x.device)
             if self.fuses_noise and execution.frames == 1 and not self._is_customized():
-                params["_noise"] = (values, noise)
+                params["_noise"] = (values, noise._replace(chosen=execution.columns.chosen))
             else:
                 params.update(self._pixel_params(values, execution, noise))
         return params
@@ -329,7 +329,11 @@ class Executor(Declaration):
             y = y.to(result)
         if y.dim() == 4 and y.shape == x.shape:
             y = match_layout(y, x)
-        if execution.chosen is not None and y.shape == x.shape:
+        if "_noise" in params and self.fuses_noise:
+            is_kept = True
+        else:
+            is_kept = self.keeps_unchosen and execution.params is None and not self._is_customized()
+        if execution.chosen is not None and y.shape == x.shape and not is_kept:
             y = where_chosen(execution.chosen, y, x if result == stored else image)
             if transform is not None:
                 identity = self.identity_matrix(x).to(transform)

@@ -4,7 +4,7 @@
 - Links between files of the repository become links of the site; those to other files become their text.
 - A page of docs/reference gets, below its tables, the docstring of every name in them, through mkdocstrings. Where these are many,
   each of its sections is a page, of a family of functions.
-- Names in the reference have picture strips (strips.py).
+- Names in the reference have picture strips (strips.py), and lead to their sources, which are pages as well.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.exceptions import PluginError
 from mkdocs.structure.files import File, Files, InclusionLevel
 from mkdocs.structure.pages import Page
 from mkdocs.utils import get_relative_url
@@ -32,6 +33,7 @@ import search
 import strips
 
 ROOT = Path(__file__).parents[2]
+SOURCES = Path(K.__file__).parent
 PAGES = ("CHANGELOG.md", "CONTRIBUTING.md", "benchmarks/README.md", "third_party/README.md")
 CPP = ("edges.cpp", "CMakeLists.txt", "save_pipeline.py", "run_pipeline.cpp")
 LANGUAGES = {".py": "python", ".cpp": "cpp", ".txt": "cmake"}
@@ -68,12 +70,21 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     files.append(File.generated(config, "reference/pictures.md", content=strips.overview(reference_of)))
     for page, family in families().items():
         files.append(File.generated(config, page, content=family.text))
+    sources = sorted({source_of(anchor)[0] for anchor in pages_by_anchor() if anchor})
+    files.append(File.generated(config, "source/index.md", content=list_of_sources(sources)))
+    for path in sources:
+        files.append(_unlisted_page(config, source_uri(path), source_page(path)))
     return files
 
 
 def _example_page(config: MkDocsConfig, stem: str, content: str) -> File:
-    """A page that the list of examples links to, without a line in the navigation."""
-    return File.generated(config, f"examples/{stem}.md", content=content, inclusion=InclusionLevel.NOT_IN_NAV)
+    """A page that the list of examples links to."""
+    return _unlisted_page(config, f"examples/{stem}.md", content)
+
+
+def _unlisted_page(config: MkDocsConfig, uri: str, content: str) -> File:
+    """A page without a line in the navigation."""
+    return File.generated(config, uri, content=content, inclusion=InclusionLevel.NOT_IN_NAV)
 
 
 def reference_of(name: str) -> str:
@@ -132,7 +143,11 @@ def site_uri(path: str) -> str:
     if path.startswith("examples"):
         page = path.removesuffix(".py")
         return f"{page}.md" if not path.startswith("examples/cpp") else "examples/cpp.md"
-    return {"README.md": "index.md", "benchmarks": "benchmarks/README.md"}.get(path, path)
+    if path.startswith("python/kvision/"):
+        return f"source/{path.removeprefix('python/kvision/').removesuffix('.py')}.md"
+    return {"README.md": "index.md", "benchmarks": "benchmarks/README.md", "python/kvision": "source/index.md"}.get(
+        path, path
+    )
 
 
 def translate_links(text: str, page: Page, files: Files) -> str:
@@ -169,10 +184,10 @@ ROW = re.compile(r"^\| `([A-Za-z_]\w*)(\([^\n]*?\))?` \|", re.MULTILINE)
 
 
 @functools.cache
-def definitions(path: str) -> frozenset[str]:
-    """The functions and classes that a file defines."""
+def definitions(path: str) -> dict[str, int]:
+    """The functions and classes that a file defines, and their lines."""
     body = ast.parse(Path(path).read_text()).body
-    return frozenset(node.name for node in body if isinstance(node, (ast.FunctionDef, ast.ClassDef)))
+    return {node.name: node.lineno for node in body if isinstance(node, (ast.FunctionDef, ast.ClassDef))}
 
 
 def documented_path(module: Any, name: str) -> str | None:
@@ -277,23 +292,67 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
     return config
 
 
+# --- sources ------------------------------------------------------------------------------------------------------------
+
+
+def source_of(anchor: str) -> tuple[Path, int]:
+    """The file and the line that define a public name."""
+    module, _, name = anchor.rpartition(".")
+    path = inspect.getsourcefile(getattr(importlib.import_module(module), name))
+    assert path is not None
+    return Path(path), definitions(path)[name]
+
+
+def source_uri(path: Path) -> str:
+    return f"source/{path.relative_to(SOURCES).with_suffix('.md')}"
+
+
+def source_page(path: Path) -> str:
+    """A file of Python whose lines have anchors; the search leaves it out."""
+    name = path.relative_to(SOURCES)
+    return (
+        f"---\nsearch: {{exclude: true}}\nhide: [navigation, toc]\n---\n\n# {name}\n\n"
+        f'```` {{.python linenums="1"}}\n{path.read_text()}````\n'
+    )
+
+
+def list_of_sources(paths: list[Path]) -> str:
+    """The page of the files that define public names, by folder."""
+    lines = ["---", "search: {exclude: true}", "---", "", "# Source", ""]
+    lines.append("The files of Python that define public names. Kernels have their names: those of")
+    lines.append("`filters/edges/sobel.py` are `csrc/filters/edges/sobel*` in the repository.")
+    folder = None
+    for path in paths:
+        name = path.relative_to(SOURCES)
+        if name.parent != folder:
+            folder = name.parent
+            lines += ["", f"## {Path('kvision', folder)}", ""]
+        lines.append(f"- [{name.name}]({posixpath.relpath(source_uri(path), 'source')})")
+    return "\n".join([*lines, ""])
+
+
 HEADING = re.compile(r'<h3 id="kvision\.[\w.]+"[^>]*class="doc doc-heading".*?</h3>', re.DOTALL)
 
 
-def with_strip(heading: re.Match[str], page: Page) -> str:
-    """The heading of a name in the reference, and its strip."""
-    path = re.search(r'id="(kvision\.[\w.]+)"', heading[0])
-    assert path is not None
-    module, _, name = path[1].rpartition(".")
+def with_source_and_strip(heading: re.Match[str], page: Page, files: Files) -> str:
+    """The heading of a name in the reference, the way to its source, and its strip."""
+    identifier = re.search(r'id="(kvision\.[\w.]+)"', heading[0])
+    assert identifier is not None
+    path, line = source_of(identifier[1])
+    file = files.get_file_from_path(source_uri(path))
+    assert file is not None
+    target = f"{get_relative_url(file.url, page.url)}#__codelineno-0-{line}"
+    head = f'{heading[0]}<p class="source"><a href="{target}">{path.relative_to(SOURCES)}:{line}</a></p>'
+    module, _, name = identifier[1].rpartition(".")
     value = getattr(importlib.import_module(module), name)
     parts = module.split(".")[1:]
     found = strips.name_of(".".join(parts), value) or strips.name_of(parts[0] if parts else "", value)
     if found is None:
-        return heading[0]
+        return head
     call = html_text.escape(strips.entries()[found])
     source = get_relative_url(strips.uri(found), page.url)
     return (
-        f'{heading[0]}<figure class="strip"><img src="{source}" alt="{found}" loading="lazy">'
+        f'{head}<figure class="strip"><img src="{source}" alt="{found}" loading="lazy">'
         f"<figcaption><code>{call}</code></figcaption></figure>"
     )
 
@@ -314,11 +373,15 @@ def on_page_content(html: str, page: Page, config: MkDocsConfig, files: Files) -
         )
 
     if page.file.src_uri.startswith("reference/"):
-        html = HEADING.sub(lambda heading: with_strip(heading, page), html)
+        if "doc-object doc-module" in html:
+            raise PluginError(f"{page.file.src_uri} describes a file where a function of its name is meant")
+        html = HEADING.sub(lambda heading: with_source_and_strip(heading, page, files), html)
     return GALLERY.sub(figures, html)
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
+    if page.file.src_uri.startswith("source/"):
+        return markdown  # has no links of the repository
     text = translate_links(markdown, page, files)
     if page.file.src_uri.startswith("reference/") and page.file.src_uri != "reference/pictures.md":
         text = add_docstrings(text, page.file.src_uri)

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks import cases, results
+from benchmarks import augmentation_table, cases, results
 
 ROOT = Path(__file__).parents[1]
 PICTURES = ROOT / "docs" / "pictures"
@@ -73,6 +73,18 @@ def batches() -> dict[str, list[tuple[int, float]]]:
     for row in table("h200", "sobel_figure"):
         curves.setdefault(row["library"], []).append((int(row["batch"]), float(row["ms"])))
     return curves
+
+
+def augmentations() -> list[dict[str, Any]]:
+    """The rows of the table of augmentations, one for each batch."""
+    keys = ("operation", "library", "device")
+    return [
+        {**row, "batch": int(batch), "side": int(side), "ms": float(ms)}
+        for row in table("h200", "augmentation_table")
+        for shape, ms in row.items()
+        if shape not in keys and ms
+        for batch, side in [shape.split("x")]
+    ]
 
 
 def curves(path: Path, lines: dict[str, list[tuple[int, float]]], label: str) -> None:
@@ -212,6 +224,9 @@ def main() -> int:
     opencv = panels("epyc", CPU_SIZES, "opencv forward", "forward")
     dots(PICTURES / "epyc_opencv.svg", opencv, CPU_SIZES, "OpenCV's time / kvision's")
     curves(PICTURES / "sobel_batches.svg", batches(), "milliseconds a batch")
+    style()
+    title = "Augmentation on one NVIDIA H200 and on one thread of its host"
+    save(augmentation_table.draw(augmentations(), title), PICTURES / "augmentation_batches.svg")
     return 0
 
 

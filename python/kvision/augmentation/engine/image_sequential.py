@@ -413,7 +413,8 @@ class ImageSequential(ImageSequentialBase):
         for b, shape in enumerate(shapes):
             if shape is None:  # of cells, or without a child that ran: results have the size of the images
                 shape = (1, 1, 1) if outputs is None else tuple(outputs[b].shape)
-            image = torch.zeros(1, device="cpu").expand(1, *shape)
+            device = torch.device("cpu") if outputs is None else outputs[b].device
+            image = torch.zeros(1, device=device).expand(1, *shape)
             items = items_of_rows(params, [b], len(shapes))
             parts.append(Part([b], self._execute(image, items, self._context(None, None))[1]))
         return parts

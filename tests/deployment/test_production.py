@@ -91,7 +91,8 @@ def test_pipeline_runs_in_cpp(cmake: str, device: torch.device, tmp_path: Path) 
     pytest.importorskip("skimage.data")
     prefixes = f"{_backend.LIBRARY_FOLDER.parent};{torch.utils.cmake_prefix_path}"
     build, saved = tmp_path / "build", tmp_path / "saved"
-    subprocess.run([cmake, "-S", ROOT / "examples/cpp", "-B", build, f"-DCMAKE_PREFIX_PATH={prefixes}"], check=True)
+    options = f"-DCMAKE_PREFIX_PATH={prefixes}", "-DCMAKE_BUILD_TYPE=None"  # compiled in half the time
+    subprocess.run([cmake, "-S", ROOT / "examples/cpp", "-B", build, *options], check=True)
     subprocess.run([cmake, "--build", build, "--target", "run_pipeline"], check=True)
     script = ROOT / "examples/cpp/save_pipeline.py"
     subprocess.run([sys.executable, script, "--device", device.type, "--out", saved], check=True)

@@ -158,68 +158,51 @@ __device__ __forceinline__ void read_pixels(T const* row, int past, float (&pixe
   }
 }
 
-template <class T, int M, bool Shrinks>
-__global__ void __launch_bounds__(kThreads, kBlocks)
-    resize_strips(__grid_constant__ Resize<T> const p, ResizeStrips const strips, bool aligned) {
-  using S = StripOf<T, M, Shrinks>;
-  int const lane = threadIdx.x % 32, warp = threadIdx.x / 32, step = int(p.x.step);
-  unsigned const q = blockIdx.x / strips.across, group = q / strips.down;
-  int const e0 = int(blockIdx.x - q * strips.across) * strips.elements;
-  int const elements = min(strips.elements, int(p.y.row_size()) - e0), padded = (elements + 31) & -32;
-  int const taps_x = p.columns.max_taps, taps_y = p.rows.max_taps, height = int(p.y.height);
-  int const block_y = int(q - group * strips.down) * strips.rows * strips.warps_down;
-  int const table_rows = strips.rows * strips.warps_down, row_slots = (table_rows + 31) & -32;
-  int const planes_per_block = kWarps / strips.warps_down;
-  int64_t const plane = int64_t(group) * planes_per_block + warp / strips.warps_down;
-  int const first_row = warp % strips.warps_down * strips.rows, y0 = block_y + first_row;  // of the warp
-  int const rows = plane < p.y.count() ? min(strips.rows, height - y0) : 0;
+// Where a block keeps its rings, lines and tables in shared memory.
+template <class S, bool Shrinks>
+struct StripMemory {
+  unsigned char* ring;             // of the warp
+  float *lines, *weights_of_rows;  // of the warp; of a row of x in the rows of the result that it is part of,
+  float *weights_x, *weights_y;    // by their numbers modulo M
+  int *first_x, *end_x, *first_y, *end_y;
+  float *norms_x, *norms_y;
 
-  // Rings, lines, tables.
-  extern __shared__ __align__(16) unsigned char memory[];
-  int const columns_padded = (strips.elements + 31) & -32;
-  float* const all_lines = reinterpret_cast<float*>(memory + kWarps * S::kWarpBytes);
-  float* const lines = all_lines + warp * strips.lines;
-  // Of a row of x in the rows of the result that it is part of, by their numbers modulo M.
-  float* const weights_of_rows = all_lines + kWarps * strips.lines;
-  float* const weights_x = weights_of_rows + (Shrinks ? strips.warps_down * strips.span_y * S::kSlots : 0);
-  int* const first_x = reinterpret_cast<int*>(weights_x + taps_x * columns_padded);
-  int* const end_x = first_x + columns_padded;
-  float* const weights_y = reinterpret_cast<float*>(end_x + columns_padded);
-  int* const first_y = reinterpret_cast<int*>(weights_y + taps_y * row_slots);
-  int* const end_y = first_y + row_slots;
-  float* const norms_x = reinterpret_cast<float*>(end_y + row_slots);
-  float* const norms_y = norms_x + (p.columns.backward ? S::kSpan : 0);
+  template <class T>
+  __device__ __forceinline__ StripMemory(Resize<T> const& p, ResizeStrips const& strips, unsigned char* memory,
+                                         int row_slots) {
+    int const warp = threadIdx.x / 32, columns_padded = (strips.elements + 31) & -32;
+    float* const all_lines = reinterpret_cast<float*>(memory + kWarps * S::kWarpBytes);
+    ring = memory + warp * S::kWarpBytes;
+    lines = all_lines + warp * strips.lines;
+    weights_of_rows = all_lines + kWarps * strips.lines;
+    weights_x = weights_of_rows + (Shrinks ? strips.warps_down * strips.span_y * S::kSlots : 0);
+    first_x = reinterpret_cast<int*>(weights_x + p.columns.max_taps * columns_padded);
+    end_x = first_x + columns_padded;
+    weights_y = reinterpret_cast<float*>(end_x + columns_padded);
+    first_y = reinterpret_cast<int*>(weights_y + p.rows.max_taps * row_slots);
+    end_y = first_y + row_slots;
+    norms_x = reinterpret_cast<float*>(end_y + row_slots);
+    norms_y = norms_x + (p.columns.backward ? S::kSpan : 0);
+  }
+};
 
-  // The pixels that the strip, the warp and the block read: each thread finds one end.
-  int const last_x = (e0 + elements - 1) / step, last_y = min(y0 + strips.rows, height) - 1;
-  int const ends[4] = {min(y0, height - 1), max(last_y, 0), block_y, min(block_y + table_rows, height) - 1};
-  Contributors<float> const of_column = find_contributors(p.columns, lane % 2 ? last_x : e0 / step);
-  Contributors<float> const of_row =
-      find_contributors(p.rows, lane % 4 < 2 ? (lane % 2 ? ends[1] : ends[0]) : (lane % 2 ? ends[3] : ends[2]));
-  auto const begin_of = [&](Contributors<float> const& of, int i) { return __shfl_sync(0xffffffffu, of.first, i); };
-  auto const end_of = [&](Contributors<float> const& of, int i) {
-    return __shfl_sync(0xffffffffu, of.first + of.count, i);
-  };
-  int const from_x = begin_of(of_column, 0), to_x = end_of(of_column, 1),
-            from = from_x * step & (aligned ? -S::kVector : -1);
-  int const length = min(to_x * step - from, S::kSpan);
-  int const from_y = begin_of(of_row, 0), to_y = end_of(of_row, 1);
-  int const block_from_y = begin_of(of_row, 2), block_to_y = end_of(of_row, 3);
+// The ring of rows of a warp, in which a row begins at a word as it does in the image.
+template <class S, class T>
+struct RowRing {
+  unsigned char* const memory;
+  T const* const column;  // the first element of row 0
+  int const stride, length, end;
+  bool const aligned;
+  int next, unsafe_from = 0;  // the row that is copied next; the first one whose last word may reach behind the image
 
-  // The ring of rows, in which a row begins at a word as it does in the image.
-  int const stride = int(p.x.row_stride * sizeof(T));
-  T const* const column = p.x.plane(rows > 0 ? plane : 0) + from;
-  unsigned char* const ring = memory + warp * S::kWarpBytes;
-  auto const past_word = [&](int y) {
+  // Bytes from a word to the beginning of a row.
+  __device__ __forceinline__ int past_word(int y) const {
     return sizeof(T) == 4 ? 0 : int(reinterpret_cast<uintptr_t>(column) + unsigned(y) * unsigned(stride)) & 3;
-  };
-  int unsafe_from = 0;
-  if (sizeof(T) < 4 && rows > 0)
-    unsafe_from = first_unsafe_row<4 / int(sizeof(T))>(p.x, p.x.plane(plane), p.x.row_size());
-  int next = from_y;
-  auto const fetch = [&] {
-    if (next < to_y) {
-      auto const to = uint32_t(__cvta_generic_to_shared(ring)) + (next & (S::kRing - 1)) * S::kRowBytes;
+  }
+  __device__ __forceinline__ void fetch() {
+    int const lane = threadIdx.x % 32;
+    if (next < end) {
+      auto const to = uint32_t(__cvta_generic_to_shared(memory)) + (next & (S::kRing - 1)) * S::kRowBytes;
       auto const row = reinterpret_cast<unsigned char const*>(row_at(column, next, stride));
       int const bytes = length * int(sizeof(T));
       if (aligned) {
@@ -241,135 +224,195 @@ __global__ void __launch_bounds__(kThreads, kBlocks)
     }
     __pipeline_commit();
     ++next;
+  }
+  __device__ __forceinline__ void read(int y, float (&pixels)[S::kColumns]) const {
+    read_pixels<S>(reinterpret_cast<T const*>(memory + (y & (S::kRing - 1)) * S::kRowBytes), aligned ? 0 : past_word(y),
+                   pixels);
+  }
+};
+
+template <int N>
+__device__ __forceinline__ void add_weighted(float (&sums)[N], float weight, float const (&pixels)[N]) {
+  if (weight != 0) {
+#pragma unroll
+    for (int i = 0; i < N; ++i) sums[i] += weight * pixels[i];
+  }
+}
+
+// Line j of the sums along y.
+template <class S>
+__device__ __forceinline__ void store_line(float* lines, int j, float const (&sums)[S::kColumns]) {
+  constexpr int P = 4;
+#pragma unroll
+  for (int i = 0; i < S::kColumns; i += P) {
+    Vector<float, P> vector;
+#pragma unroll
+    for (int n = 0; n < P; ++n) vector.v[n] = sums[i + n];
+    *reinterpret_cast<Vector<float, P>*>(lines + j * S::kSpan + 32 * i + P * int(threadIdx.x % 32)) = vector;
+  }
+}
+
+// The pixels of `count` rows of the result from the lines of sums along y. Taps: the number of weights, or 0 for any.
+template <class S, int Taps, class T, class Memory>
+__device__ __forceinline__ void write_rows(Resize<T> const& p, Memory const& memory, int elements, int count, T* out) {
+  int const taps_x = p.columns.max_taps, K = Taps ? Taps : taps_x, step = int(p.x.step);
+  int const padded = (elements + 31) & -32;
+#pragma unroll 1
+  for (int c = int(threadIdx.x % 32); c < padded; c += 32) {
+    float sums[S::kLines] = {};
+    float const *values = memory.lines + memory.first_x[c], *weight = memory.weights_x + c;
+#pragma unroll
+    for (int k = 0; k < K; ++k, values += step, weight += padded)
+#pragma unroll
+      for (int j = 0; j < S::kLines; ++j) sums[j] += *weight * values[j * S::kSpan];
+    float poison = 0;
+#pragma unroll
+    for (int j = 0; j < S::kLines; ++j) poison += sums[j] * 0;
+    if (poison != 0) {  // a tap of weight 0 contributes nothing, even if it is inf or NaN
+#pragma unroll
+      for (int j = 0; j < S::kLines; ++j) sums[j] = 0;
+#pragma unroll 1
+      for (int k = 0; k < taps_x; ++k)
+        if (float const of_tap = memory.weights_x[k * padded + c]; of_tap != 0)
+#pragma unroll
+          for (int j = 0; j < S::kLines; ++j)
+            sums[j] += of_tap * memory.lines[memory.first_x[c] + k * step + j * S::kSpan];
+    }
+    if (c >= elements) break;
+    T* to = out + c;
+#pragma unroll
+    for (int j = 0; j < S::kLines; ++j, to += p.y.row_stride)
+      if (j < count) *to = round_to<T>(p.minuend ? float(read(*p.minuend_at(to))) - sums[j] : sums[j]);
+  }
+}
+template <class S, class T, class Memory>
+__device__ __forceinline__ void write_rows(Resize<T> const& p, Memory const& memory, int elements, int count, T* out) {
+  __syncwarp();
+  int const taps = p.columns.max_taps;
+  if (taps == 2)
+    write_rows<S, 2>(p, memory, elements, count, out);
+  else if (taps == 3)
+    write_rows<S, 3>(p, memory, elements, count, out);
+  else if (taps == 4)
+    write_rows<S, 4>(p, memory, elements, count, out);
+  else if (taps == 5)
+    write_rows<S, 5>(p, memory, elements, count, out);
+  else
+    write_rows<S, 0>(p, memory, elements, count, out);
+  __syncwarp();
+}
+
+template <class T, int M, bool Shrinks>
+__global__ void __launch_bounds__(kThreads, kBlocks)
+    resize_strips(__grid_constant__ Resize<T> const p, ResizeStrips const strips, bool aligned) {
+  using S = StripOf<T, M, Shrinks>;
+  int const lane = threadIdx.x % 32, warp = threadIdx.x / 32, step = int(p.x.step);
+  unsigned const q = blockIdx.x / strips.across, group = q / strips.down;
+  int const e0 = int(blockIdx.x - q * strips.across) * strips.elements;
+  int const elements = min(strips.elements, int(p.y.row_size()) - e0), padded = (elements + 31) & -32;
+  int const taps_y = p.rows.max_taps, height = int(p.y.height);
+  int const block_y = int(q - group * strips.down) * strips.rows * strips.warps_down;
+  int const table_rows = strips.rows * strips.warps_down, row_slots = (table_rows + 31) & -32;
+  int const planes_per_block = kWarps / strips.warps_down;
+  int64_t const plane = int64_t(group) * planes_per_block + warp / strips.warps_down;
+  int const first_row = warp % strips.warps_down * strips.rows, y0 = block_y + first_row;  // of the warp
+  int const rows = plane < p.y.count() ? min(strips.rows, height - y0) : 0;
+  extern __shared__ __align__(16) unsigned char shared[];
+  StripMemory<S, Shrinks> const memory(p, strips, shared, row_slots);
+
+  // Phase 1: the pixels that the strip, the warp and the block read: each thread finds one end.
+  int const last_x = (e0 + elements - 1) / step, last_y = min(y0 + strips.rows, height) - 1;
+  int const ends[4] = {min(y0, height - 1), max(last_y, 0), block_y, min(block_y + table_rows, height) - 1};
+  Contributors<float> const of_column = find_contributors(p.columns, lane % 2 ? last_x : e0 / step);
+  Contributors<float> const of_row =
+      find_contributors(p.rows, lane % 4 < 2 ? (lane % 2 ? ends[1] : ends[0]) : (lane % 2 ? ends[3] : ends[2]));
+  auto const begin_of = [&](Contributors<float> const& of, int i) { return __shfl_sync(0xffffffffu, of.first, i); };
+  auto const end_of = [&](Contributors<float> const& of, int i) {
+    return __shfl_sync(0xffffffffu, of.first + of.count, i);
   };
-  for (int i = 16 * lane; i < S::kWarpBytes; i += 512) *reinterpret_cast<uint4*>(ring + i) = uint4{};
-  for (int i = S::kLines * S::kSpan + lane; i < strips.lines; i += 32) lines[i] = 0;  // read with weight 0
+  int const from_x = begin_of(of_column, 0), to_x = end_of(of_column, 1),
+            from = from_x * step & (aligned ? -S::kVector : -1);
+  int const length = min(to_x * step - from, S::kSpan);
+  int const from_y = begin_of(of_row, 0), to_y = end_of(of_row, 1);
+  int const block_from_y = begin_of(of_row, 2), block_to_y = end_of(of_row, 3);
+
+  // Phase 2: the first rows are on their way while the weights are computed.
+  RowRing<S, T> ring{
+      memory.ring, p.x.plane(rows > 0 ? plane : 0) + from, int(p.x.row_stride * sizeof(T)), length, to_y, aligned,
+      from_y};
+  if (sizeof(T) < 4 && rows > 0)
+    ring.unsafe_from = first_unsafe_row<4 / int(sizeof(T))>(p.x, p.x.plane(plane), p.x.row_size());
+  for (int i = 16 * lane; i < S::kWarpBytes; i += 512) *reinterpret_cast<uint4*>(memory.ring + i) = uint4{};
+  for (int i = S::kLines * S::kSpan + lane; i < strips.lines; i += 32) memory.lines[i] = 0;  // read with weight 0
   __syncwarp();
   if (rows > 0)
 #pragma unroll 1
-    for (int i = 0; i < (Shrinks ? S::kRing - 1 : S::kRing); ++i) fetch();
+    for (int i = 0; i < (Shrinks ? S::kRing - 1 : S::kRing); ++i) ring.fetch();
 
-  // The weights. The last warps begin with those of rows.
+  // Phase 3: the weights. The last warps begin with those of rows.
   int const thread_of_rows = 32 * (kWarps - 1 - warp) + lane;
   if (p.columns.backward) {
-    write_norms(p.columns, threadIdx.x, norms_x, from_x, min(to_x - from_x, S::kSpan));
-    write_norms(p.rows, thread_of_rows, norms_y, block_from_y, block_to_y - block_from_y);
+    write_norms(p.columns, threadIdx.x, memory.norms_x, from_x, min(to_x - from_x, S::kSpan));
+    write_norms(p.rows, thread_of_rows, memory.norms_y, block_from_y, block_to_y - block_from_y);
     __syncthreads();
   }
   int const last_row = min(block_y + table_rows, height) - 1;
-  WeightTable const columns{e0 / step, last_x, step, padded, weights_x, 1, padded, first_x, end_x, norms_x, from_x};
+  WeightTable const columns{e0 / step,      last_x,       step,           padded, memory.weights_x, 1, padded,
+                            memory.first_x, memory.end_x, memory.norms_x, from_x};
   columns.write(p.columns, threadIdx.x);
-  WeightTable const of_rows{block_y, last_row, 1,     row_slots, weights_y,   taps_y,
-                            1,       first_y,  end_y, norms_y,   block_from_y};
+  WeightTable const of_rows{block_y,          last_row,       1,           row_slots,
+                            memory.weights_y, taps_y,         1,           memory.first_y,
+                            memory.end_y,     memory.norms_y, block_from_y};
   of_rows.write(p.rows, thread_of_rows);
   if constexpr (Shrinks)
-    for (int i = threadIdx.x; i < strips.warps_down * strips.span_y * S::kSlots; i += kThreads) weights_of_rows[i] = 0;
+    for (int i = threadIdx.x; i < strips.warps_down * strips.span_y * S::kSlots; i += kThreads)
+      memory.weights_of_rows[i] = 0;
   __syncthreads();
   for (int i = threadIdx.x; i < padded; i += kThreads) {
     int const e = e0 + min(i, elements - 1);
-    first_x[i] = min(first_x[i] * step + e % step - from, S::kSpan);
+    memory.first_x[i] = min(memory.first_x[i] * step + e % step - from, S::kSpan);
   }
   if constexpr (Shrinks) {
     int const count = min(table_rows, height - block_y);
     for (int i = threadIdx.x; i < count * taps_y; i += kThreads) {
-      int const r = i / taps_y, k = i - r * taps_y, strip = r / strips.rows, y = first_y[r] + k;
-      int const at = y - first_y[strip * strips.rows];
-      if (y < end_y[r] && at < strips.span_y)
-        weights_of_rows[(strip * strips.span_y + at) * S::kSlots + (r - strip * strips.rows) % M] = weights_y[i];
+      int const r = i / taps_y, k = i - r * taps_y, strip = r / strips.rows, y = memory.first_y[r] + k;
+      int const at = y - memory.first_y[strip * strips.rows];
+      if (y < memory.end_y[r] && at < strips.span_y)
+        memory.weights_of_rows[(strip * strips.span_y + at) * S::kSlots + (r - strip * strips.rows) % M] =
+            memory.weights_y[i];
     }
   }
   __syncthreads();
   if (rows <= 0) return;
 
+  // Phase 4: sums along y, and the rows of the result from them.
   T* out = p.y.row(plane, y0) + e0;
-  // The pixels of `count` rows of the result from the lines of sums. Taps: the number of weights, or 0 for any.
-  auto const write_rows = [&](int count, auto taps) {
-    int const K = taps.value ? taps.value : taps_x;
-#pragma unroll 1
-    for (int c = lane; c < padded; c += 32) {
-      float sums[S::kLines] = {};
-      float const *values = lines + first_x[c], *weight = weights_x + c;
-#pragma unroll
-      for (int k = 0; k < K; ++k, values += step, weight += padded)
-#pragma unroll
-        for (int j = 0; j < S::kLines; ++j) sums[j] += *weight * values[j * S::kSpan];
-      float poison = 0;
-#pragma unroll
-      for (int j = 0; j < S::kLines; ++j) poison += sums[j] * 0;
-      if (poison != 0) {  // a tap of weight 0 contributes nothing, even if it is inf or NaN
-#pragma unroll
-        for (int j = 0; j < S::kLines; ++j) sums[j] = 0;
-#pragma unroll 1
-        for (int k = 0; k < taps_x; ++k)
-          if (float const of_tap = weights_x[k * padded + c]; of_tap != 0)
-#pragma unroll
-            for (int j = 0; j < S::kLines; ++j) sums[j] += of_tap * lines[first_x[c] + k * step + j * S::kSpan];
-      }
-      if (c >= elements) break;
-      T* to = out + c;
-#pragma unroll
-      for (int j = 0; j < S::kLines; ++j, to += p.y.row_stride)
-        if (j < count) *to = round_to<T>(p.minuend ? float(read(*p.minuend_at(to))) - sums[j] : sums[j]);
-    }
-  };
   auto const write = [&](int count) {
-    __syncwarp();
-    if (taps_x == 2)
-      write_rows(count, std::integral_constant<int, 2>{});
-    else if (taps_x == 3)
-      write_rows(count, std::integral_constant<int, 3>{});
-    else if (taps_x == 4)
-      write_rows(count, std::integral_constant<int, 4>{});
-    else if (taps_x == 5)
-      write_rows(count, std::integral_constant<int, 5>{});
-    else
-      write_rows(count, std::integral_constant<int, 0>{});
+    write_rows<S>(p, memory, elements, count, out);
     out += count * p.y.row_stride;
-    __syncwarp();
   };
-  auto const add = [&](float(&sums)[S::kColumns], float weight, float const(&pixels)[S::kColumns]) {
-    if (weight != 0) {
-#pragma unroll
-      for (int i = 0; i < S::kColumns; ++i) sums[i] += weight * pixels[i];
-    }
-  };
-  auto const store_line = [&](int j, float const(&sums)[S::kColumns]) {
-    constexpr int P = 4;
-#pragma unroll
-    for (int i = 0; i < S::kColumns; i += P) {
-      Vector<float, P> vector;
-#pragma unroll
-      for (int n = 0; n < P; ++n) vector.v[n] = sums[i + n];
-      *reinterpret_cast<Vector<float, P>*>(lines + j * S::kSpan + 32 * i + P * lane) = vector;
-    }
-  };
-  auto const read_row = [&](int y, float(&pixels)[S::kColumns]) {
-    read_pixels<S>(reinterpret_cast<T const*>(ring + (y & (S::kRing - 1)) * S::kRowBytes), aligned ? 0 : past_word(y),
-                   pixels);
-  };
-
   if constexpr (Shrinks) {
     float sums[M][S::kColumns] = {};
-    auto const* weights =
-        reinterpret_cast<Vector<float, S::kSlots> const*>(weights_of_rows) + warp % strips.warps_down * strips.span_y;
+    auto const* weights = reinterpret_cast<Vector<float, S::kSlots> const*>(memory.weights_of_rows) +
+                          warp % strips.warps_down * strips.span_y;
     int y = from_y;
 #pragma unroll 1
     for (int r = 0; r < rows; r += S::kLines) {
 #pragma unroll
       for (int j = 0; j < S::kLines; ++j) {
-        int const end = r + j < rows ? end_y[first_row + r + j] : 0;
+        int const end = r + j < rows ? memory.end_y[first_row + r + j] : 0;
 #pragma unroll 1
         for (; y < end; ++y, ++weights) {
           __pipeline_wait_prior(S::kAhead);
           __syncwarp();
-          fetch();
+          ring.fetch();
           float pixels[S::kColumns];
-          read_row(y, pixels);
+          ring.read(y, pixels);
           Vector<float, S::kSlots> const of_row = *weights;
 #pragma unroll
-          for (int s = 0; s < M; ++s) add(sums[s], of_row.v[s], pixels);
+          for (int s = 0; s < M; ++s) add_weighted(sums[s], of_row.v[s], pixels);
         }
-        store_line(j, sums[j % M]);
+        store_line<S>(memory.lines, j, sums[j % M]);
 #pragma unroll
         for (int i = 0; i < S::kColumns; ++i) sums[j % M][i] = 0;
       }
@@ -380,8 +423,8 @@ __global__ void __launch_bounds__(kThreads, kBlocks)
     for (int r = 0; r < rows; r += S::kLines) {
 #pragma unroll 1
       for (int j = 0; j < min(S::kLines, rows - r); ++j) {
-        int const row = first_row + r + j, first = first_y[row], end = end_y[row];
-        while (next < end + S::kAhead) fetch();
+        int const row = first_row + r + j, first = memory.first_y[row], end = memory.end_y[row];
+        while (ring.next < end + S::kAhead) ring.fetch();
         __pipeline_wait_prior(S::kAhead);
         __syncwarp();
         float sums[S::kColumns] = {};
@@ -389,10 +432,10 @@ __global__ void __launch_bounds__(kThreads, kBlocks)
         for (int k = 0; k < M; ++k) {
           if (first + k >= end) break;
           float pixels[S::kColumns];
-          read_row(first + k, pixels);
-          add(sums, weights_y[row * taps_y + k], pixels);
+          ring.read(first + k, pixels);
+          add_weighted(sums, memory.weights_y[row * taps_y + k], pixels);
         }
-        store_line(j, sums);
+        store_line<S>(memory.lines, j, sums);
         __syncwarp();
       }
       write(min(S::kLines, rows - r));
@@ -467,7 +510,10 @@ int resize_strips(Resize<T> const& p, CUstream_st* stream) {
   if (p.x.row_stride * int64_t(sizeof(T)) > INT32_MAX) return kUnsupported;
   bool const shrinks = p.rows.max_readers <= p.rows.max_taps;
   int const taps = shrinks ? p.rows.max_readers : p.rows.max_taps;
+  // Special case, H200: 0.97 (resize 0.2 aa) to 1.16 (resize 0.07 aa) times as fast as four rows at once.
   if (taps <= 2) return shrinks ? launch<T, 2, true>(p, stream) : launch<T, 2, false>(p, stream);
+  // Special case, H200: 0.97 (resize 0.6 bicubic aa backward) to 1.63 (resize 0.6 bicubic aa) times as fast as six rows
+  // at once.
   if (taps <= 4) return shrinks ? launch<T, 4, true>(p, stream) : launch<T, 4, false>(p, stream);
   if (taps <= 6) return shrinks ? launch<T, 6, true>(p, stream) : launch<T, 6, false>(p, stream);
   return kUnsupported;

@@ -73,30 +73,11 @@ __global__ void __launch_bounds__(kMaxThreads) find_top_k(__grid_constant__ TopK
   }
 }
 
-template <class T>
-__global__ void __launch_bounds__(kMaxThreads) finalize(__grid_constant__ FinalizeModel<T> const p) {
-  __shared__ int parts[kMaxThreads / 32];
-  int num_inliers = 0;
-  for (int64_t i = threadIdx.x; i < p.count; i += kMaxThreads) num_inliers += p.weights[i] > 0;
-  num_inliers = warp_reduce(num_inliers, Sum());
-  if (threadIdx.x % 32 == 0) parts[threadIdx.x / 32] = num_inliers;
-  __syncthreads();
-  bool const has_consensus = warp_reduce(parts[threadIdx.x % 32], Sum()) > p.min_inliers;
-  for (int64_t i = threadIdx.x; i < p.count; i += kMaxThreads) p.inliers[i] = has_consensus && p.weights[i] > 0;
-  if (threadIdx.x == 0) p.store_model(has_consensus);
-}
-
 }  // namespace
 
 template <class T>
 int top_k_models(TopKModels<T> const& p, CUstream_st* stream) {
   find_top_k<T><<<1, kMaxThreads, 0, stream>>>(p);
-  return cudaGetLastError();
-}
-
-template <class T>
-int finalize_model(FinalizeModel<T> const& p, CUstream_st* stream) {
-  finalize<T><<<1, kMaxThreads, 0, stream>>>(p);
   return cudaGetLastError();
 }
 
@@ -116,7 +97,6 @@ int merge_top_k(MergeTopK<T> const& p, CUstream_st* stream) {
 
 KV_INSTANTIATE_COMPUTED(consensus, Consensus)
 KV_INSTANTIATE_COMPUTED(top_k_models, TopKModels)
-KV_INSTANTIATE_COMPUTED(finalize_model, FinalizeModel)
 KV_INSTANTIATE_COMPUTED(merge_top_k, MergeTopK)
 
 }  // namespace kv::geometry::cuda

@@ -6,8 +6,7 @@
 //   other models         Sampson's distance: of both points from the nearest exact correspondence, to first order
 //
 // merge_top_k selects the best models of two lists, and computes weights for fitting them to their inliers: 1 / (1 + s
-// e) for inliers, else 0. top_k_models selects the best models of one long list. finalize_model normalizes the best
-// model and marks its inliers; there is no model if these are no more than a minimal sample.
+// e) for inliers, else 0. top_k_models selects the best models of one long list.
 //
 // An error that is NaN is no inlier. Included by ransac_cpu.cpp, ransac.cu and ransac_op.cpp.
 #pragma once
@@ -88,30 +87,8 @@ struct TopKModels {
   }
 };
 
-template <class T>
-struct FinalizeModel {
-  T const *model, *weights;    // (9), (N)
-  int64_t count, min_inliers;  // correspondences; a model needs more inliers than min_inliers
-  bool unit_norm;              // whether the model is scaled to norm 1, else to a last entry of 1 unless that is 0
-  T* normalized;               // (9)
-  bool* inliers;               // (N)
-
-  KV_HD void store_model(bool has_consensus) const {
-    T largest = 0, square = 0;
-    for (int k = 0; k < 9; ++k) {
-      T const size = model[k] < 0 ? -model[k] : model[k];
-      if (size > largest) largest = size;
-      square += model[k] * model[k];
-    }
-    T const last = model[8] < 0 ? -model[8] : model[8];
-    T const divisor = unit_norm ? sqrt(square) : last > T(1e-12) * largest ? model[8] : largest > 0 ? largest : 1;
-    for (int k = 0; k < 9; ++k) normalized[k] = has_consensus ? model[k] / divisor : 0;
-  }
-};
-
 KV_KERNEL(consensus, Consensus)
 KV_KERNEL(top_k_models, TopKModels)
-KV_KERNEL(finalize_model, FinalizeModel)
 KV_KERNEL(merge_top_k, MergeTopK)
 
 // read(points, k, i) returns coordinate k of the correspondences from i on.

@@ -52,7 +52,7 @@ void merge_top_k(MergeTopK<T> const& p, int64_t begin, int64_t end) {
   }
 }
 
-// One thread runs the two functions below: [begin, end) is the whole range.
+// One thread runs this function: [begin, end) is the whole range.
 template <class T>
 void top_k_models(TopKModels<T> const& p, int64_t, int64_t) {
   for (int64_t rank = 0, last = -1; rank < p.top_k; ++rank) {
@@ -61,18 +61,8 @@ void top_k_models(TopKModels<T> const& p, int64_t, int64_t) {
   }
 }
 
-template <class T>
-void finalize_model(FinalizeModel<T> const& p, int64_t, int64_t) {
-  int64_t num_inliers = 0;
-  for (int64_t i = 0; i < p.count; ++i) num_inliers += p.weights[i] > 0;
-  bool const has_consensus = num_inliers > p.min_inliers;
-  for (int64_t i = 0; i < p.count; ++i) p.inliers[i] = has_consensus && p.weights[i] > 0;
-  p.store_model(has_consensus);
-}
-
 KV_INSTANTIATE_COMPUTED(consensus, Consensus)
 KV_INSTANTIATE_COMPUTED(top_k_models, TopKModels)
-KV_INSTANTIATE_COMPUTED(finalize_model, FinalizeModel)
 KV_INSTANTIATE_COMPUTED(merge_top_k, MergeTopK)
 
 }  // namespace kv::geometry::KV_ISA

@@ -103,37 +103,9 @@ std::tuple<Tensor, Tensor> top_k_models(Tensor const& models, Tensor const& scor
   return {top_models, top_scores};
 }
 
-// Normalizes the first of models (M, 3, 3), and marks which of N correspondences have a weight above 0 for it; no model
-// and no inliers if these are min_inliers or fewer. Essential matrices get norm 1, other models a last entry of 1.
-std::tuple<Tensor, Tensor> finalize_model(Tensor const& models, Tensor const& weights, int64_t min_inliers,
-                                          int64_t model) {
-  constexpr char const* op = "finalize_model";
-  KV_CHECK(models.dim() == 3 && models.size(0) > 0 && models.size(1) == 3 && models.size(2) == 3, op,
-           ": expected models of shape (M, 3, 3)");
-  KV_CHECK(weights.dim() == 2 && weights.size(0) == models.size(0) && weights.scalar_type() == models.scalar_type() &&
-               weights.device() == models.device(),
-           op, ": expected weights of shape (M, N), of the type and device of models");
-  Contiguous const m(op, models), w(op, weights);
-  Tensor const normalized = empty({3, 3}, m.tensor);
-  Tensor const inliers = empty({weights.size(1)}, m.tensor, Layout::planar, ScalarType::Bool);
-  dispatch_reals(m, [&](auto type) {
-    using T = typename decltype(type)::type;
-    FinalizeModel<T> const params{data_ptr<T>(m.tensor),
-                                  data_ptr<T>(w.tensor),
-                                  weights.size(1),
-                                  min_inliers,
-                                  parse_model(op, model) == Model::essential,
-                                  data_ptr<T>(normalized),
-                                  data_ptr<bool>(inliers)};
-    KV_RUN(finalize_model, m.tensor, params, 1, 0);
-  });
-  return {normalized, inliers};
-}
-
 }  // namespace
 
 KV_OPERATOR(top_k_models, "(Tensor models, Tensor scores, int count, bool by_count) -> (Tensor, Tensor)")
-KV_OPERATOR(finalize_model, "(Tensor models, Tensor weights, int min_inliers, int model) -> (Tensor, Tensor)")
 KV_OPERATOR(consensus, "(Tensor models, Tensor points1, Tensor points2, float threshold, int model) -> Tensor")
 KV_OPERATOR(merge_top_k,
             "(Tensor models, Tensor scores, Tensor other_models, Tensor other_scores, Tensor points1, Tensor points2, "

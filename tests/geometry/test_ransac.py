@@ -10,7 +10,7 @@ from torch import Tensor
 import kvision as K
 from kvision._modes import MODEL
 from kvision.geometry.homography.dlt import homography_of
-from kvision.geometry.ransac import _consensus, _finalize_model, _merge_top_k, _top_k_models
+from kvision.geometry.ransac import _consensus, _merge_top_k, _top_k_models
 from kvision.geometry.solvers._minimal import SIZES, eight_points, minimal_solver
 from kvision.geometry.solvers.affine import affine_of
 from op_tests import assert_close, instruction_set
@@ -255,21 +255,13 @@ def test_merge_top_k_is_the_references(model, dtype, device):
 
 @pytest.mark.parametrize("count", [1, 8, 3000])
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=str)
-def test_top_k_and_final_models_are_the_references(count, dtype, device):
+def test_top_k_models_are_the_references(count, dtype, device):
     models, scores = rand(2500, 3, 3, low=-1), (9 * rand(2500, 2)).round()  # many are as good
-    weights = (rand(2500, 1500, low=-1) * (rand(2500, 1) > 0.5)).clamp(min=0)
-    models, scores, weights = (x.to(device, dtype) for x in (models, scores, weights))
+    models, scores = models.to(device, dtype), scores.to(device, dtype)
     for by_count in (False, True):
         result = _top_k_models(models, scores, count, by_count)
         with K.backend("reference"):
             assert_close(result, _top_k_models(models, scores, count, by_count), 0, 0)
-    models[5, 2, 2] = 0
-    for i in range(8):
-        for kind in ("essential", "homography"):
-            args = models[i:], weights[i:], 7 if i else 1499, MODEL[kind]
-            result = _finalize_model(*args)
-            with K.backend("reference"):
-                assert_close(result, _finalize_model(*args), 1e-6, 1e-6)
 
 
 def test_one_set_of_points_serves_all_weights(device):
@@ -341,8 +333,6 @@ def test_operators_refuse_bad_arguments(backend):
         lambda: ops.pose_dlt(torch.rand(1, 9, 3), x, eye[:, :2], None, 0.0),
         lambda: ops.top_k_models(eye, scores[:, :1], 1, False),
         lambda: ops.top_k_models(eye[:0], scores[:0], 1, False),
-        lambda: ops.finalize_model(eye, torch.rand(2, 9), 4, "affine"),
-        lambda: ops.finalize_model(eye, torch.rand(1, 9), 4, "sphere"),
         lambda: ops.correspondence_errors(x, x[:, :4], eye, "sampson", True),
         lambda: ops.correspondence_errors(x, x, eye, "segments", True),
         lambda: ops.correspondence_errors(x, x, eye, "sphere", True),
@@ -476,17 +466,6 @@ class TestRansacOperators(PointOpTests):
                 dtypes=SINGLE_AND_DOUBLE,
             )
             for by_count in (False, True)
-        ],
-        "finalize_model": [
-            Call(
-                (random_model, vector(9)),
-                (4, MODEL["homography"]),
-                broadcasts=False,
-                per_sample=False,
-                differentiable=False,
-                accepted=RANSAC_ACCEPTED,
-                dtypes=SINGLE_AND_DOUBLE,
-            )
         ],
         "minimal_solver": [
             Call(

@@ -109,8 +109,6 @@ inline constexpr Operator<"triangulate",
 
 inline constexpr Operator<"top_k_models", Two(Tensor models, Tensor scores, int64_t count, bool by_count)> top_k_models{
     non_differentiable};
-inline constexpr Operator<"finalize_model", Two(Tensor models, Tensor weights, int64_t min_inliers, int64_t model)>
-    finalize_model{non_differentiable};
 inline constexpr Operator<"consensus",
                           Tensor(Tensor models, Tensor points1, Tensor points2, double threshold, int64_t model)>
     consensus{non_differentiable};

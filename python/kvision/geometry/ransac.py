@@ -107,15 +107,6 @@ def _top_k_models_reference(models: Tensor, scores: Tensor, count: int, by_count
     return models[order], scores[order]
 
 
-def _finalize_model_reference(models: Tensor, weights: Tensor, min_inliers: int, model: int) -> tuple[Tensor, Tensor]:
-    """Normalize the first model and find its inliers, which have weights above 0. Zeros for `min_inliers` or fewer."""
-    inliers = weights[0] > 0
-    has_consensus = inliers.sum() > min_inliers
-    first = models[:1]
-    first = first / torch.linalg.vector_norm(first) if model == MODEL["essential"] else to_unit_last(first)
-    return torch.where(has_consensus, first[0], 0), inliers & has_consensus
-
-
 def _points(points1: Tensor, points2: Tensor, model: int) -> tuple[Tensor, Tensor]:
     shape = (-1, 2, 2) if model == MODEL["lines"] else (-1, 2)
     return points1.T.reshape(shape), points2.T.reshape(shape)
@@ -136,13 +127,6 @@ _top_k_models = register(
     _top_k_models_reference,
     fake=lambda models, scores, count, *options: [(min(count, len(models)), *size) for size in ((3, 3), (2,))],
     non_differentiable=(0, 1),
-)
-_finalize_model = register(
-    "finalize_model",
-    _finalize_model_reference,
-    fake=lambda models, weights, *options: [(3, 3), weights.new_empty(weights.shape[1], dtype=torch.bool)],
-    non_differentiable=(0, 1),
-    casts_outputs=True,
 )
 _merge_top_k = register("merge_top_k", _merge_top_k_reference, fake=_merge_top_k_sizes, non_differentiable=(0, 1, 2))
 

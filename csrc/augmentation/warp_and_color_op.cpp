@@ -93,6 +93,7 @@ struct WarpAndColorArguments {
 #if defined(KV_CUDA)
     geometry::Size const size = matrix->use.output;
     return sampling->interpolation == geometry::Interpolation::bilinear &&
+           // Special case, H200: 1.14 to 1.37 times as fast as a warp and a program.
            keeps_rows(plan.transforms, plan.transform_numbers) &&
            (a.sequence.contrast < 0 || cuda::keeps_samples(size.height, size.width));
 #else
@@ -107,6 +108,8 @@ struct WarpAndColorArguments {
     return !plan.antialias && sampling->interpolation == geometry::Interpolation::bilinear &&
            sampling->padding != geometry::Padding::reflection && image.scalar_type() != ScalarType::Double &&
            keeps_rows(plan.transforms, plan.transform_numbers) &&
+           // Special case, H200: 1.23 (crop+flip+jitter backward) to 2.6 (crop backward) times as fast as the gradient
+           // of any warp.
            cuda::fits_block(matrix->use.source, matrix->use.output);
 #else
     return false;

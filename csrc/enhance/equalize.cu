@@ -226,6 +226,7 @@ int equalize_planes(Equalize<T> const& p, CUstream_st* stream) {
   while (parts < most_parts && planes * parts < 2 * multiprocessors() && pixels / parts > 8 << 10) parts *= 2;
   int64_t const each = ceil_div(ceil_div(pixels, parts), 16) * 16;
   bool const few = planes * parts < (most_parts == 1 ? 64 : multiprocessors()) && pixels > 16 << 10;
+  // Special case, H200: 1.34 (equalize) to 1.58 (equalize_opencv) times as fast as two passes.
   if (few || each > max_pixels) return equalize_in_chunks<P>(p, stream);
   int const bytes = kCountBytes + int(each) + 2 * P;
   if (int const error = cudaFuncSetAttribute(equalize_parts<T, P>, cudaFuncAttributeMaxDynamicSharedMemorySize, bytes))

@@ -87,6 +87,7 @@ std::tuple<Tensor, Tensor, Tensor, Tensor> find_neighbors(char const* op, Tensor
 #if defined(KV_CUDA)
     torch::stable::accelerator::DeviceGuard const guard(x.first.get_device_index());
     int64_t const tile = kMatchingTile<T>, tiles1 = ceil_div(n, tile), tiles2 = ceil_div(m, tile);
+    // Special case, H200: 0.84 (match small) to 3.1 (match_smnn10000) times as fast as all distances in float32.
     bool const by_candidates = sizeof(T) == 4 && !positions1 && n > 0 && m > 0 && cuda::has_matching_candidates();
     if (by_candidates && batch * n * m <= kFewPairs) {
       KV_RUN(two_nearest, x.first, params, batch, 0);

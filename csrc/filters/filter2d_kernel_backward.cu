@@ -150,9 +150,12 @@ __global__ void sum_partials_kernel(SumPartials<F> p) {
 template <class T>
 int filter2d_kernel_backward(Filter2dKernelBackward<T> const& p, CUstream_st* stream) {
   if constexpr (!__is_same(T, double)) {
+    // Special case, H200: 1.09 to 1.10 times as fast as groups of eight rows.
     int const kernel_rows = p.axis_y.size <= 5 ? 5 : 8;  // rows of the kernel; the last group may have fewer
     Tiles const tiles(p.x, p.grad, p.axis_x.before, p.axis_x.size - 1 - p.axis_x.before,
                       int(ceil_div(p.axis_y.size, kernel_rows)) * kernel_rows - 1);
+    // Special case, H200: 12 (filter2d kernel b backward) to 33 (filter2d kernel11 b backward) times as fast as a
+    // thread for some taps.
     if (p.axis_z.size == 1 && tiles.bytes(kWarps * p.taps()) <= max_shared_bytes(kMaxSharedBytes))
       return kernel_rows == 5 ? launch_tiles<5>(p, tiles, stream) : launch_tiles<8>(p, tiles, stream);
   }

@@ -143,6 +143,7 @@ __global__ void __launch_bounds__(32 * kWarps, kResident<K, P>)
   }
 }
 
+// Special case, H200: 1.7 (7 x 7) to 4.0 (3 x 3 backward) times as fast as tiles.
 template <int K, class T>
 bool launch_strips(Filter2d<T> const& p, CUstream_st* stream) {
   constexpr int P = kStripPixels<T, K>, R = K / 2;

@@ -320,14 +320,18 @@ template <class T>
 int separable(Separable<T> const& p, CUstream_st* stream) {
   if constexpr (!__is_same(T, double)) {
     bool const symmetric = p.kx.gaussian && p.ky.gaussian;
+    // Special case, H200: 1.21 (canny) to 6.3 (unsharp5) times as fast as tiles.
     if (supports_strips(p.x, p.ky.size, p.kx.size)) {
       if (p.accumulation == Border::constant) return separable_strips(p, 1, stream);
       if constexpr (sizeof(T) > 1)
+        // Special case, H200: 1.02 (canny backward) to 2.4 (gauss31 backward) times as fast as the transpose of any
+        // border.
         return p.accumulation == Border::reflect && symmetric ? separable_reflect_backward_strips(p, 1, stream)
                                                               : separable_backward_strips(p, stream);
     }
     bool const reflect_backward = p.accumulation == Border::reflect && symmetric;
     if (p.x.step == 1 && p.y.step == 1 && (p.accumulation == Border::constant || reflect_backward) &&
+        // Special case, H200: 8.6 (gauss33) to 12 (gauss33 backward) times as fast as a thread an element.
         4 * TileMemory(p.kx, p.ky).numbers() <= max_shared_bytes(kMaxSharedBytes))
       return launch_tiles(p, reflect_backward, stream);
   }

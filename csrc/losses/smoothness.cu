@@ -218,6 +218,7 @@ template <class T, class F>
 void with_columns(DepthAndImage<T> const& p, bool aligned, F f) {
   std::integral_constant<int, kAnywhere> const anywhere;
   if constexpr (sizeof(T) < 8)
+    // Special case, H200: 1.53 (smoothness) to 2.4 (smoothness backward) times as fast as any number.
     if (p.channels == 3) {
       std::integral_constant<int, 3> const three;
       return aligned ? f(std::integral_constant<int, kVector>{}, three) : f(anywhere, three);

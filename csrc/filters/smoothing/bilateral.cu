@@ -67,10 +67,12 @@ bool launch_tile(Bilateral<T> const& p, CUstream_st* stream) {
 }
 template <int C, bool L1, class T>
 bool launch_tile(Bilateral<T> const& p, CUstream_st* stream) {
+  // Special case, H200: 1.95 (bilateral5) to 2.2 (bilateral5gray) times as fast as any window in tiles.
   return p.ky == 5 && p.kx == 5 ? launch_tile<C, L1, 2>(p, stream) : launch_tile<C, L1, 0>(p, stream);
 }
 template <class T>
 bool launch_tile(Bilateral<T> const& p, CUstream_st* stream) {
+  // Special case, H200: 8.0 (bilateral7) to 17 (bilateral5gray) times as fast as a thread a pixel.
   if (p.joint) return false;
   if (p.x.channels == 1) return launch_tile<1, false>(p, stream);
   if (p.x.channels == 3) return p.l1 ? launch_tile<3, true>(p, stream) : launch_tile<3, false>(p, stream);

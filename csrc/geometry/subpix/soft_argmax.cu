@@ -452,7 +452,9 @@ int soft_argmax(SoftArgmax<T> const& p, CUstream_st* stream) {
     std::integral_constant<int, 1> const one;
     std::integral_constant<int, 2> const two;
     int const radius = radius_of(p.windows);
+    // Special case, H200: 4.7 (soft argmax3 values) to 7.5 (soft argmax3) times as fast as a thread a window.
     if (radius == 1) return p.values ? run(one, std::true_type{}) : run(one, std::false_type{});
+    // Special case, H200: 8.4 (conv_soft_argmax2d) to 11 (soft argmax5) times as fast as a thread a window.
     if (radius == 2) return p.values ? run(two, std::true_type{}) : run(two, std::false_type{});
   }
   Tiles const tiles(p.windows.volumes, p.windows.out);

@@ -75,6 +75,8 @@ Tensor soft_argmax_backward(Tensor const& grad_coords, Tensor const& grad_values
   Tensor const x = expand_batch(input, b), g = expand_batch(grad_coords, b), v = expand_batch(grad_values, b);
   Tensor const grad_x = empty({b, c, w.size[0], w.size[1], w.size[2]}, x);
 #if defined(KV_CUDA)
+  // Special case, H200: 5.9 (soft argmax3 backward) to 8.7 (conv_soft_argmax2d backward) times as fast as records
+  // first.
   bool const one_pass = x.scalar_type() != ScalarType::Double && !with_values && radius_of(w) > 0;
 #else
   bool const one_pass = false;

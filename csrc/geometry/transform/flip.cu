@@ -117,6 +117,7 @@ template <class T>
 int flip(Flip<T> const& p, CUstream_st* stream) {
   constexpr int P = 16 / int(sizeof(T));
   int64_t const vectors = ceil_div(p.y.row_size(), P);
+  // Special case, H200: 1.01 (hflip) to 1.18 (rotate180 backward) times as fast as shifted vectors.
   if (is_vectorizable<P>(p.x) && is_vectorizable<P>(p.y) && p.left % P == 0) {
     int64_t const down = ceil_div(p.y.height, kRows);
     flip_rows<T, P><<<unsigned(ceil_div(vectors * down * p.y.count(), kThreads)), kThreads, 0, stream>>>(

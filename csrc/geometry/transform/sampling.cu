@@ -15,6 +15,7 @@ __global__ void __launch_bounds__(kThreads, kBlocks<T, K>)
 template <class T>
 int sample(Sample<T> const& p, CUstream_st* stream) {
   int const per_block = tiles_per_block(p.y.batch, p.y.height, p.y.width);
+  // Special case, H200: 1.12 to 1.14 times as fast as a tile of each image.
   bool const one_map = p.coords.has_map() && p.coords.x.batch_stride == 0 && p.coords.y.batch_stride == 0;
   TileGrid const tiles(p.y.batch, p.y.height, p.y.width, per_block, one_map && p.y.batch >= per_block);
   with_alignment_of(p.x, [&](auto aligned) {

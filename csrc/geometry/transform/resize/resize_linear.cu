@@ -158,6 +158,7 @@ int resize_linear(Resize<T> const& p, CUstream_st* stream) {
   if (!served(p.rows) || !served(p.columns) ||
       max(p.x.row_stride * int64_t(sizeof(T)), p.y.row_size()) > INT32_MAX - 128)
     return kUnsupported;
+  // Special case, H200: 0.85 (resize 224) to 2.3 (resize 224 of 4) times as fast as strips of any kind.
   int rows = 32;  // there must be enough strips for the machine
   int64_t const across = ceil_div(p.y.row_size(), 32 * kColumns);
   while (rows > 4 && p.y.count() * across * ceil_div(p.y.height, rows) < 12000) rows /= 2;
@@ -166,6 +167,8 @@ int resize_linear(Resize<T> const& p, CUstream_st* stream) {
   ResizeAxis const& a = p.columns;
   bool const grows = p.rows.num <= p.rows.den && a.num <= a.den &&
                      (32 * kColumns - 1) * a.num / a.den + 2 + kVectorSize <= 32 * kVectorSize;
+  // Special case, H200: 1.12 (resize 1.4) to 1.25 (resize 1.4 nearest) times as fast as rows that are read as they are
+  // needed.
   if (grows && is_vectorizable<kVectorSize>(p.x))
     resize_pairs<T, true><<<strips.blocks(kWarps), 32 * kWarps, 0, stream>>>(p, strips);
   else

@@ -95,6 +95,8 @@ def draw_keys(op: str, count: int, device: torch.device, seed: Seed, generator: 
     """
     if seed is not None:
         return _from_seed(op, seed)
+    if generator is None and not (is_compiling() or in_function_transform() or _captures(device)):
+        return Keys(_words(count))  # most calls
     keys = _drawn_keys(op, count, device, generator)
     return Keys(keys if generator is None else keys ^ _word_of_worker())
 
@@ -142,6 +144,10 @@ def _random_words(count: int, generator: Generator | None = None, device: torch.
         # Compilers know no random_ of a generator, and vmap only maps a function that makes a tensor. The lowest number is added to
         # the words of a range, as random_ does not.
         return torch.randint(_LOWEST, 2**63 - 1, (count,), generator=generator, device=device) ^ _LOWEST
+    return _words(count, generator, device)
+
+
+def _words(count: int, generator: Generator | None = None, device: torch.device = _CPU) -> Tensor:
     return torch.empty(count, dtype=torch.int64, device=device).random_(_LOWEST, None, generator=generator)
 
 

@@ -133,8 +133,9 @@ class Executor(Declaration):
 
     def _named(self, values: Tensor, execution: Execution) -> Params:
         """Parameters by name from their columns (B, P)."""
-        assert self._param_generator is not None
-        return self._param_generator.to_params(values, execution.shape)
+        generator = self._param_generator
+        assert generator is not None
+        return generator.to_params(values, execution.shape)
 
     def _identity_columns(self, shape: Shape) -> Tensor:
         """The columns (B, P) of samples of which none is chosen."""

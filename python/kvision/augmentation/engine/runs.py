@@ -237,6 +237,7 @@ class _RunPlan(NamedTuple):
     steps: Sequence[Step]
     first: int  # number of the first key, or position in the chain
     certain: Sequence[bool]  # whether all samples are augmented
+    derives: bool  # whether any has columns that are derived
     drawn: DrawnPass | DrawnLinks | None  # the draws together with the first step or its links, by one operator
     owners: Tensor | None = None  # (P,) on the CPU: the number of the augmentation that each column belongs to
     identity: tuple[float, ...] = ()  # what the columns hold for samples that do not get that augmentation
@@ -267,7 +268,7 @@ def _execute_run(
         else:
             columns, result, links = plan.drawn.draw(x, keys)
         executions, steps = _executions(x, plan, columns, keys, context.frames), plan.steps
-        if columns is not None and any(span is not None for span in plan.derived_from):
+        if columns is not None and plan.derives:
             columns = _with_derived(modules, executions, columns, plan, context)
     for child, module, execution in zip(run, modules, executions):
         child.record = module.__dict__["_execution"] = execution  # faster than Module.__setattr__
@@ -436,7 +437,20 @@ def _plan_run(
         drawn = steps[0].drawn_with(draws[0], Planned(modules, shapes, x.dtype, keys_of))
     owners, identity = _owners_of_columns(requests, spans_of_requests) if has_owners else (None, ())
     return _RunPlan(
-        draws, numbers, drawing, spans, derived_from, shapes, applied, steps, first, certain, drawn, owners, identity
+        draws,
+        numbers,
+        drawing,
+        spans,
+        derived_from,
+        shapes,
+        applied,
+        steps,
+        first,
+        certain,
+        derives,
+        drawn,
+        owners,
+        identity,
     ), keys
 
 

@@ -123,14 +123,18 @@ struct Lens {
     y = (x * tilt[3] + y * tilt[4] + tilt[5]) / w;
     x = u;
   }
-  // The shift, and the radial factor as numerator and denominator.
-  template <class V>
+  // The shift, and the radial factor as numerator and denominator. IsPlain: only the first five coefficients are not 0.
+  template <bool IsPlain = false, class V>
   KV_HD void terms(V x, V y, V& numerator, V& denominator, V& dx, V& dy) const {
     V const r2 = x * x + y * y;
     numerator = 1 + r2 * (c[0] + r2 * (c[1] + r2 * c[4]));
+    denominator = V{} + T(1);
+    dx = 2 * c[2] * x * y + c[3] * (r2 + 2 * x * x);
+    dy = c[2] * (r2 + 2 * y * y) + 2 * c[3] * x * y;
+    if constexpr (IsPlain) return;
     denominator = 1 + r2 * (c[5] + r2 * (c[6] + r2 * c[7]));
-    dx = 2 * c[2] * x * y + c[3] * (r2 + 2 * x * x) + r2 * (c[8] + r2 * c[9]);
-    dy = c[2] * (r2 + 2 * y * y) + 2 * c[3] * x * y + r2 * (c[10] + r2 * c[11]);
+    dx += r2 * (c[8] + r2 * c[9]);
+    dy += r2 * (c[10] + r2 * c[11]);
   }
   // Distorts (x, y), and sets the derivatives of the result: x by x, x by y, y by x, y by y.
   template <class V>
@@ -160,7 +164,10 @@ struct Lens {
     V last_x = x, last_y = y, before_x = x, before_y = y, inverse = V{} + T(1);
     for (int step = 0; step < p.steps; ++step) {
       V numerator, denominator, dx, dy;
-      terms(x, y, numerator, denominator, dx, dy);
+      if (p.coefficient_count <= 5)
+        terms<true>(x, y, numerator, denominator, dx, dy);
+      else
+        terms(x, y, numerator, denominator, dx, dy);
       inverse = denominator / numerator;
       before_x = last_x, before_y = last_y, last_x = x, last_y = y;
       x = (x0 - dx) * inverse;

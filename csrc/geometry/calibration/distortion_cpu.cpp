@@ -1,4 +1,6 @@
 // Lens distortion on the CPU: points [begin, end) of all samples, by vectors. Compiled once per instruction set.
+#include <utility>
+
 #include "core/lanes.h"
 // After it, for vectors.
 #include "geometry/calibration/distortion.h"
@@ -30,17 +32,36 @@ KV_HD void pixels_at(LensPoints<T> const& p, int64_t i, Lanes<T, N>& x, Lanes<T,
   }
 }
 
+// N points (x, y) that are adjacent in memory.
+template <int N, class T, int... i>
+KV_HD void load_points(T const* from, Lanes<T, N>& x, Lanes<T, N>& y, std::integer_sequence<int, i...>) {
+  if constexpr (N == 1) {
+    x = from[0], y = from[1];
+  } else {
+    Lanes<T, N> const first = load<N>(from), second = load<N>(from + N);
+    x = __builtin_shufflevector(first, second, (2 * i)...);
+    y = __builtin_shufflevector(first, second, (2 * i + 1)...);
+  }
+}
+template <int N, class T, int... i>
+KV_HD void store_points(T* to, Lanes<T, N> x, Lanes<T, N> y, std::integer_sequence<int, i...>) {
+  if constexpr (N == 1) {
+    to[0] = x, to[1] = y;
+  } else {
+    store<N>(to, __builtin_shufflevector(x, y, (i / 2 + i % 2 * N)...));
+    store<N>(to + N, __builtin_shufflevector(x, y, ((N + i) / 2 + i % 2 * N)...));
+  }
+}
+
 template <bool Distorts, int N, class T>
 KV_HD void through(Lens<T> const& lens, LensDomain<T> const& domain, int64_t b, int64_t i) {
   auto const& p = lens.p;
+  constexpr std::make_integer_sequence<int, N> lanes;
   Lanes<T, N> x, y;
-  if (!p.points) {
+  if (!p.points)
     pixels_at<N>(p, i - b * p.count, x, y);
-  } else if constexpr (N == 1) {
-    x = p.points[2 * i], y = p.points[2 * i + 1];
-  } else {
-    for (int k = 0; k < N; ++k) x[k] = p.points[2 * (i + k)], y[k] = p.points[2 * (i + k) + 1];
-  }
+  else
+    load_points<N>(p.points + 2 * i, x, y, lanes);
   if constexpr (!Distorts)
     lens.undistort(x, y, domain);
   else
@@ -48,10 +69,8 @@ KV_HD void through(Lens<T> const& lens, LensDomain<T> const& domain, int64_t b, 
   if (!p.points) {
     store<N>(p.result + b * p.count + i, x);
     store<N>(p.result + (b + 1) * p.count + i, y);
-  } else if constexpr (N == 1) {
-    p.result[2 * i] = x, p.result[2 * i + 1] = y;
   } else {
-    for (int k = 0; k < N; ++k) p.result[2 * (i + k)] = x[k], p.result[2 * (i + k) + 1] = y[k];
+    store_points<N>(p.result + 2 * i, x, y, lanes);
   }
 }
 

@@ -110,8 +110,8 @@ def compile_words(operator: Any, by_name: Callable[[str], Any]) -> Callable[...,
 
     def expression(value: Value) -> str:
         kind, of = value
-        if kind == "sizes":  # of a linear operator's input these alone are saved
-            return f"list(a{of}[2:])" if operator.linear else f"list(a{of}.shape[2:])"
+        if kind == "sizes":  # of a linear operator's input these alone are saved, where it has no other tensor
+            return f"list(getattr(a{of}, 'shape', a{of})[2:])" if operator.linear else f"list(a{of}.shape[2:])"
         if kind == "minus":
             return f"[-x for x in a{of}]"
         if kind == "needs":

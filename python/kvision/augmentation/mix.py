@@ -12,12 +12,19 @@ from torch import Generator, Tensor
 from kvision import _check, geometry
 from kvision._choices import CroppingMode
 from kvision._constants import constant
-from kvision._dtype import compute_dtype, floats
-from kvision._modes import INTERPOLATION, PADDING
+from kvision._dtype import floats
 from kvision.augmentation.engine import AugmentationBase2D, Execution, Params, replaying
 from kvision.augmentation.keys import Seed
 from kvision.augmentation.labels import BOX_FORMATS, parse_data_keys
-from kvision.augmentation.maps import exact
+from kvision.augmentation.pieces import (
+    MIX_KINDS,
+    cutmix_pieces,
+    jigsaw_pieces,
+    mix_pieces,
+    mixup_pieces,
+    mosaic_pieces,
+    paste_pieces,
+)
 from kvision.augmentation.random_generator.mix import (
     CutmixGenerator,
     JigsawGenerator,
@@ -29,7 +36,6 @@ from kvision.augmentation.ranges import Numbers
 from kvision.augmentation.samples import where_chosen
 from kvision.constants import AnyResample, DataKey, DataKeys, Resample
 from kvision.core.exceptions import BaseError, ShapeError, ValueCheckError
-from kvision.geometry.transform import sampling
 
 __all__ = ["MixAugmentationBaseV2", "PatchMix", "RandomCutMixV2", "RandomJigsaw", "RandomMixUpV2", "RandomMosaic"]
 
@@ -205,6 +211,11 @@ class MixAugmentationBaseV2(AugmentationBase2D, keeps_contract=True):
     def _run(self, x: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
         if not execution.applied or x.shape[0] == 0:
             return x
+        pieces = self._drawn_pieces(execution)
+        if pieces is not None:
+            size = self._output_size(execution.shape)
+            y: Tensor = paste_pieces(x, pieces, size)
+            return y if size == list(x.shape[-2:]) else self._chosen(y, self._unmixed(x, y), execution)
         params = self._params_on_device(x, execution)
         stored = x.dtype
         image = x.float() if stored == torch.uint8 else x
@@ -215,6 +226,28 @@ class MixAugmentationBaseV2(AugmentationBase2D, keeps_contract=True):
     def _unmixed(self, x: Tensor, mixed: Tensor) -> Tensor:
         """Samples that are not chosen, in the size of the mixed ones."""
         return x
+
+    def _drawn_pieces(self, execution: Execution) -> Tensor | None:
+        """The pieces of images by one operator, from the columns of a call; None where methods or gradients need parameters."""
+        columns = execution.columns
+        if columns is None or columns.drawn.requires_grad or columns.drawn.dtype != torch.float32:
+            return None
+        plan = None if self._is_overridden("apply_transform") else self._mix_plan(execution.shape)
+        if plan is None:
+            return None
+        kind, count, grid, numbers = plan
+        span, shape = columns.span, execution.shape
+        chosen = span.first if span.has_chosen else -1
+        sizes = [*grid, *shape[-2:], *self._output_size(shape)]
+        pieces: Tensor = mix_pieces(columns.drawn, [MIX_KINDS[kind], span.first_value, chosen, count, *sizes], numbers)
+        return pieces
+
+    def _mix_plan(self, shape: Sequence[int]) -> tuple[str, int, tuple[int, int], list[float]] | None:
+        """The kind of `MIX_KINDS`, how many pieces, rows and columns, and numbers; None for classes without pieces."""
+        return None
+
+    def _output_size(self, shape: Sequence[int]) -> list[int]:
+        return [int(n) for n in shape[-2:]]
 
     def _from_params(self, params: Params, x: Tensor) -> Execution:
         execution = super()._from_params(params, x)
@@ -334,8 +367,16 @@ class RandomMixUpV2(MixAugmentationBaseV2, keeps_contract=True):
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
-        weight = params["mixup_lambdas"].to(input.dtype)[:, None, None, None]
-        return input * (1 - weight) + input[params["mixup_pairs"]] * weight
+        pairs, weights = params["mixup_pairs"], params["mixup_lambdas"]
+        if weights.requires_grad:
+            weight = weights.to(input.dtype)[:, None, None, None]
+            return input * (1 - weight) + input[pairs] * weight
+        size = list(input.shape[-2:])
+        mixed: Tensor = paste_pieces(input, mixup_pieces(pairs, weights, *size), size)
+        return mixed
+
+    def _mix_plan(self, shape: Sequence[int]) -> tuple[str, int, tuple[int, int], list[float]]:
+        return "mixup", 1, (1, 1), [0.0, 0.0]
 
     def apply_transform_mask(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
@@ -415,21 +456,20 @@ class RandomCutMixV2(MixAugmentationBaseV2, keeps_contract=True):
         windows = torch.cat([corners[:, :, 0], corners[:, :, 2] + 1], -1)
         return list(zip(params["mix_pairs"], windows))
 
-    def _paste(self, input: Tensor, params: Params) -> Tensor:
-        y = input
-        for partners, windows in self._windows(params):
-            y = torch.where(_in_windows(windows, *input.shape[-2:]), input[partners], y)
-        return y
-
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
-        return self._paste(input, params)
+        pasted: Tensor = paste_pieces(input, cutmix_pieces(self._windows(params)), list(input.shape[-2:]))
+        return pasted
 
     def apply_transform_mask(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
-        return self._paste(input, params)
+        return self.apply_transform(input, params, flags)
+
+    def _mix_plan(self, shape: Sequence[int]) -> tuple[str, int, tuple[int, int], list[float]]:
+        generator: CutmixGenerator = self._param_generator
+        return "cutmix", generator.num_mix, (1, 1), [generator._cut.low, generator._cut.high]
 
     def apply_transform_boxes(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
         return self._pasted_boxes(input, self._windows(params), flags)
@@ -495,7 +535,13 @@ class PatchMix(MixAugmentationBaseV2, keeps_contract=True):
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
-        return torch.where(_in_windows(params["patch_coords"], *input.shape[-2:]), input[params["mix_pairs"]], input)
+        pieces = cutmix_pieces([(params["mix_pairs"], params["patch_coords"])])
+        pasted: Tensor = paste_pieces(input, pieces, list(input.shape[-2:]))
+        return pasted
+
+    def _mix_plan(self, shape: Sequence[int]) -> tuple[str, int, tuple[int, int], list[float]]:
+        h, w = (min(a, b) for a, b in zip(self._param_generator.patch_size, shape[-2:]))
+        return "patch_mix", 1, (h, w), [0.0, 0.0]
 
     def apply_transform_mask(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
@@ -553,16 +599,19 @@ class RandomJigsaw(MixAugmentationBaseV2, keeps_contract=True):
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
-        b, c, h, w = input.shape
-        rows, columns = self.grid
-        if h % rows or w % columns:
-            raise _GridError(
-                f"RandomJigsaw: expected images that a grid of {self.grid} divides, got {tuple(input.shape)}"
-            )
-        cells = input.reshape(b, c, rows, h // rows, columns, w // columns).permute(0, 2, 4, 1, 3, 5)
-        order = params["permutation"][:, :, None, None, None].expand(-1, -1, *cells.shape[3:])
-        moved = cells.flatten(1, 2).gather(1, order).unflatten(1, self.grid)
-        return moved.permute(0, 3, 1, 4, 2, 5).reshape(b, c, h, w)
+        size = list(self._checked(input.shape)[-2:])
+        moved: Tensor = paste_pieces(input, jigsaw_pieces(params["permutation"], self.grid, *size), size)
+        return moved
+
+    def _checked(self, shape: Sequence[int]) -> Sequence[int]:
+        if shape[-2] % self.grid[0] or shape[-1] % self.grid[1]:
+            raise _GridError(f"RandomJigsaw: expected images that a grid of {self.grid} divides, got {tuple(shape)}")
+        return shape
+
+    def _mix_plan(self, shape: Sequence[int]) -> tuple[str, int, tuple[int, int], list[float]]:
+        self._checked(shape)
+        ensures = float(self._param_generator.ensure_perm)
+        return "jigsaw", self.grid[0] * self.grid[1], self.grid, [ensures, 0.0]
 
     def apply_transform_mask(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
@@ -657,30 +706,21 @@ class RandomMosaic(MixAugmentationBaseV2, keeps_contract=True):
             "cropping_mode": cropping_mode,
         }
 
-    def _size(self, params: Params) -> tuple[int, int]:
-        shape = params["forward_input_shape"][-2:].tolist()
-        return self._param_generator.output_size or (int(shape[0]), int(shape[1]))
+    def _output_size(self, shape: Sequence[int]) -> list[int]:
+        return list(self._param_generator.output_size or (int(n) for n in shape[-2:]))
+
+    def _mix_plan(self, shape: Sequence[int]) -> tuple[str, int, tuple[int, int], list[float]]:
+        generator = self._param_generator
+        return "mosaic", generator.cells + 1, generator.mosaic_grid, [0.0, 0.0]
 
     def _window(self, input: Tensor, params: Params) -> Tensor:
-        """The window of each mosaic, without the mosaic: its pixels are read from all images below each other."""
-        b, c, h, w = input.shape
-        rows, columns = self._param_generator.mosaic_grid
-        height, width = self._size(params)
-        values = input if input.is_floating_point() else exact(input)
-        start = params["src"][:, 0].round().long().to(input.device)
-        x, y = (start[:, i, None] + torch.arange(n, device=input.device) for i, n in enumerate((width, height)))
-        column, row = x.div(w, rounding_mode="floor"), y.div(h, rounding_mode="floor")
-        is_inside = (0 <= x) & (x < columns * w)
-        is_inside = is_inside[:, None] & ((0 <= y) & (y < rows * h))[:, :, None]
-        cell = (row.clamp(0, rows - 1) * columns)[:, :, None] + column.clamp(0, columns - 1)[:, None]
-        sample = params["permutation"].to(input.device).gather(1, cell.flatten(1)).reshape(cell.shape)
-        map_x = torch.where(is_inside, (x - column * w)[:, None], -2)
-        map_y = sample * h + (y - row * h)[:, :, None]
-        dtype = compute_dtype(values)
-        options = (INTERPOLATION["nearest"], PADDING["fill"], True, False, False)
-        below = values.transpose(0, 1).reshape(1, c, b * h, w)
-        window: Tensor = sampling.remap(below, map_x.to(dtype), map_y.to(dtype), None, None, *options)
-        return window.to(input.dtype)
+        """The window of each mosaic, without the mosaic."""
+        source, size = (input.shape[-2], input.shape[-1]), self._output_size(params["forward_input_shape"].tolist())
+        permutation, start = (params[name].to(input.device) for name in ("permutation", "src"))
+        grid = self._param_generator.mosaic_grid
+        pieces = mosaic_pieces(permutation, start[:, 0].round(), grid, source, (size[0], size[1]))
+        window: Tensor = paste_pieces(input, pieces, size)
+        return window
 
     def _unmixed(self, x: Tensor, mixed: Tensor) -> Tensor:
         size = (mixed.shape[-2], mixed.shape[-1])
@@ -704,7 +744,7 @@ class RandomMosaic(MixAugmentationBaseV2, keeps_contract=True):
         input = floats(input)
         b, n = input.shape[:2]
         height, width = (int(k) for k in params["forward_input_shape"][-2:])
-        h, w = self._size(params)
+        h, w = self._output_size(params["forward_input_shape"].tolist())
         rows, columns = self._param_generator.mosaic_grid
         cell = torch.arange(rows * columns, device=input.device)
         corner = torch.stack([cell % columns * width, cell // columns * height], -1)[None, :, None]

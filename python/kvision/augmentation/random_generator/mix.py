@@ -31,6 +31,39 @@ def partners(order: Tensor) -> Tensor:
     )
 
 
+def cutmix_window(kept: Tensor, u: Tensor, v: Tensor, low: float, high: float, height: int, width: int) -> Tensor:
+    """Windows (B, 4), whose ends are not included, from draws (B,): the fraction kept and the positions."""
+    side = (1 - kept).sqrt().clamp(low, high)
+    w, h = (side * width).floor(), (side * height).floor()
+    x, y = (u * (width - w + 1)).floor(), (v * (height - h + 1)).floor()
+    return torch.stack([x, y, x + w, y + h], -1)
+
+
+def jigsaw_order(columns: Tensor, ensure_perm: bool) -> Tensor:
+    """The cells (B, rows * columns) in the order that was drawn."""
+    order = columns.long()
+    if ensure_perm and order.shape[1] > 1:
+        # One draw in n! is the identity: it becomes a rotation of the cells.
+        kept = (order == torch.arange(order.shape[1], device=order.device)).all(1, keepdim=True)
+        order = torch.where(kept, order.roll(1, 1), order)
+    return order
+
+
+def mosaic_start(
+    u: Tensor, v: Tensor, grid: tuple[int, int], source: tuple[int, int], size: tuple[int, int]
+) -> tuple[Tensor, Tensor]:
+    """Where the windows begin, from draws (B,)."""
+    (rows, columns), (height, width), (h, w) = grid, source, size
+    x, y = (u * width).floor(), (v * height).floor()
+    return x.clamp(max=max(columns * width - w, 0)), y.clamp(max=max(rows * height - h, 0))
+
+
+def mosaic_permutation(orders: Tensor) -> Tensor:
+    """(B, cells): each sample itself, and partners by draws (B, cells - 1)."""
+    own = torch.arange(orders.shape[0], device=orders.device)
+    return torch.stack([own, *(partners(order) for order in orders.unbind(1))], 1)
+
+
 class MixupGenerator(RandomGeneratorBase):
     """Draws the parameters of :class:`RandomMixUpV2`.
 
@@ -114,10 +147,8 @@ class CutmixGenerator(RandomGeneratorBase):
         height, width = shape[-2:]
         pairs, windows = [], []
         for order, kept, u, v in columns.reshape(-1, self.num_mix, 4).permute(1, 2, 0):
-            side = (1 - kept).sqrt().clamp(self._cut.low, self._cut.high)
-            w, h = (side * width).floor(), (side * height).floor()
-            x, y = (u * (width - w + 1)).floor(), (v * (height - h + 1)).floor()
-            right, bottom = x + w - 1, y + h - 1
+            x, y, right, bottom = cutmix_window(kept, u, v, self._cut.low, self._cut.high, height, width).unbind(-1)
+            right, bottom = right - 1, bottom - 1
             pairs.append(partners(order))
             windows.append(torch.stack([x, y, right, y, right, bottom, x, bottom], -1).reshape(-1, 4, 2))
         return {
@@ -202,12 +233,7 @@ class JigsawGenerator(RandomGeneratorBase):
         return [Draw("permutation", (self.grid[0] * self.grid[1], 0, 1))]
 
     def to_params(self, columns: Tensor, shape: Shape) -> dict[str, Tensor]:
-        order = columns.long()
-        if self.ensure_perm and order.shape[1] > 1:
-            # One draw in n! is the identity: it becomes a rotation of the cells.
-            kept = (order == torch.arange(order.shape[1], device=order.device)).all(1, keepdim=True)
-            order = torch.where(kept, order.roll(1, 1), order)
-        return {"permutation": order}
+        return {"permutation": jigsaw_order(columns, self.ensure_perm)}
 
 
 class MosaicGenerator(RandomGeneratorBase):
@@ -254,17 +280,13 @@ class MosaicGenerator(RandomGeneratorBase):
         return self.mosaic_grid[0] * self.mosaic_grid[1]
 
     def to_params(self, columns: Tensor, shape: Shape) -> dict[str, Tensor]:
-        (height, width), (h, w) = shape[-2:], self.output_size or tuple(shape[-2:])
-        others = [partners(order) for order in columns[:, 2:].unbind(1)]
-        x, y = (columns[:, 0] * width).floor(), (columns[:, 1] * height).floor()
-        rows, cells = self.mosaic_grid
-        x, y = x.clamp(max=max(cells * width - w, 0)), y.clamp(max=max(rows * height - h, 0))
+        h, w = self.output_size or (shape[-2], shape[-1])
+        x, y = mosaic_start(columns[:, 0], columns[:, 1], self.mosaic_grid, (shape[-2], shape[-1]), (h, w))
         right, bottom = x + w - 1, y + h - 1
         src = torch.stack([x, y, right, y, right, bottom, x, bottom], -1).reshape(-1, 4, 2)
         dst = constant(((0, 0), (w - 1, 0), (w - 1, h - 1), (0, h - 1)), columns, torch.float32)
-        own = torch.arange(columns.shape[0], device=columns.device)
         return {
-            "permutation": torch.stack([own, *others], 1),
+            "permutation": mosaic_permutation(columns[:, 2:]),
             "src": src,
             "dst": dst.repeat(columns.shape[0], 1, 1),
             "batch_shapes": torch.tensor(tuple(shape[1:]), device="cpu").expand(columns.shape[0], len(shape) - 1),

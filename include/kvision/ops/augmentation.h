@@ -12,6 +12,8 @@ namespace detail {
 inline variable_list apply_operation_gradients(Backward const& b);
 inline variable_list salt_and_pepper_gradients(Backward const& b);
 inline variable_list salt_and_pepper_backward_gradients(Backward const& b);
+inline variable_list paste_pieces_gradients(Backward const& b);
+inline variable_list paste_pieces_backward_gradients(Backward const& b);
 inline variable_list transform_matrix_gradients(Backward const& b);
 
 }  // namespace detail
@@ -74,6 +76,12 @@ inline constexpr Operator<"salt_and_pepper", Tensor(Tensor images, Tensor parame
                                                     OptionalTensor chosen, Ints plan)>
     salt_and_pepper{Rule{detail::salt_and_pepper_gradients, 0, false}};
 
+// --- augmentation/pieces_op.cpp
+
+inline constexpr Operator<"paste_pieces", Tensor(Tensor images, Tensor pieces, Ints size)> paste_pieces{
+    Rule{detail::paste_pieces_gradients, 0, false}};
+inline constexpr Operator<"mix_pieces", Tensor(Tensor columns, Ints plan, Floats numbers)> mix_pieces{no_gradient};
+
 // --- augmentation/preimages/preimages_op.cpp
 
 // Where a map of nodes reads the inside of quadrilaterals, and points. preimages.py says what the arguments are.
@@ -115,6 +123,15 @@ inline variable_list salt_and_pepper_backward_gradients(Backward const& b) {
   return b.run("salt_and_pepper_backward",
                {b.grads[0], b.arguments[1], b.arguments[2], b.arguments[3], b.arguments[4], b.arguments[5]},
                Rule{salt_and_pepper_backward_gradients, 0, false});
+}
+
+inline variable_list paste_pieces_gradients(Backward const& b) {
+  return b.run("paste_pieces_backward", {b.grads[0], b.arguments[1], b.image_size()},
+               Rule{paste_pieces_backward_gradients, 0, false});
+}
+
+inline variable_list paste_pieces_backward_gradients(Backward const& b) {
+  return b.run("paste_pieces", {b.grads[0], b.arguments[1], b.image_size()}, Rule{paste_pieces_gradients, 0, false});
 }
 
 inline variable_list transform_matrix_gradients(Backward const& b) {

@@ -96,7 +96,7 @@ from kvision.augmentation.illumination import (
     RandomLinearIllumination,
 )
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D, IntensityAugmentationBase3D
-from kvision.augmentation.mix import (
+from kvision.augmentation.mixing import (
     MixAugmentationBaseV2,
     PatchMix,
     RandomCutMixV2,

@@ -2,7 +2,7 @@
 // instruction set.
 #include <cstddef>
 
-#include "augmentation/pieces.h"
+#include "augmentation/mixing/pieces.h"
 #include "core/lanes.h"
 
 namespace kv::augmentation::KV_ISA {

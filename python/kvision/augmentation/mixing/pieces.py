@@ -82,9 +82,12 @@ def _mix_reference(columns: Tensor, plan: Sequence[int], numbers: Sequence[float
     if kind == MIX_KINDS["mixup"]:
         return mixup_pieces(drawn.partners(values[:, 0]), values[:, 1], height, width)
     if kind == MIX_KINDS["cutmix"]:
-        rounds = [values[:, 4 * n : 4 * n + 4].unbind(1) for n in range(count)]
-        windows = [drawn.cutmix_window(*size, *numbers, height, width) for _, *size in rounds]
-        return cutmix_pieces([(drawn.partners(order), window) for (order, *_), window in zip(rounds, windows)])
+        low, high = numbers
+        rounds = []
+        for order, kept, u, v in values[:, : 4 * count].unflatten(1, (count, 4)).permute(1, 2, 0):
+            window = drawn.cutmix_window(kept, u, v, low, high, height, width)
+            rounds.append((drawn.partners(order), window))
+        return cutmix_pieces(rounds)
     if kind == MIX_KINDS["patch_mix"]:
         corner = values[:, 1:3].long()
         window = torch.cat([corner, corner + torch.tensor([across, rows], device=corner.device)], 1)
@@ -149,7 +152,7 @@ def _shifted(images: Tensor, source: Tensor, x: Tensor, y: Tensor) -> Tensor:
 
 def _paste_backward_reference(grad: Tensor, pieces: Tensor, size: Sequence[int]) -> Tensor:
     zeros = grad.new_zeros(*grad.shape[:2], *size)
-    _, vjp_fn = torch.func.vjp(lambda x: _paste_reference(x, pieces, grad.shape[2:]), zeros)
+    vjp_fn: Any = torch.func.vjp(lambda x: _paste_reference(x, pieces, grad.shape[2:]), zeros)[1]
     return match_layout(vjp_fn(grad)[0], grad)
 
 

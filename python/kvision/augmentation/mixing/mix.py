@@ -16,7 +16,7 @@ from kvision._dtype import floats
 from kvision.augmentation.engine import AugmentationBase2D, Execution, Params, replaying
 from kvision.augmentation.keys import Seed
 from kvision.augmentation.labels import BOX_FORMATS, parse_data_keys
-from kvision.augmentation.pieces import (
+from kvision.augmentation.mixing.pieces import (
     MIX_KINDS,
     cutmix_pieces,
     jigsaw_pieces,
@@ -447,7 +447,7 @@ class RandomCutMixV2(MixAugmentationBaseV2, keeps_contract=True):
         **options: Any,
     ) -> None:
         super().__init__(p, 1.0, same_on_batch, keepdim, data_keys, **options)
-        self._param_generator = CutmixGenerator(cut_size, beta, num_mix, p)
+        self._param_generator: CutmixGenerator = CutmixGenerator(cut_size, beta, num_mix, p)
 
     @staticmethod
     def _windows(params: Params) -> list[tuple[Tensor, Tensor]]:
@@ -468,7 +468,7 @@ class RandomCutMixV2(MixAugmentationBaseV2, keeps_contract=True):
         return self.apply_transform(input, params, flags)
 
     def _mix_plan(self, shape: Sequence[int]) -> tuple[str, int, tuple[int, int], list[float]]:
-        generator: CutmixGenerator = self._param_generator
+        generator = self._param_generator
         return "cutmix", generator.num_mix, (1, 1), [generator._cut.low, generator._cut.high]
 
     def apply_transform_boxes(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
@@ -530,7 +530,7 @@ class PatchMix(MixAugmentationBaseV2, keeps_contract=True):
         **options: Any,
     ) -> None:
         super().__init__(p, 1.0, same_on_batch, keepdim, data_keys, **options)
-        self._param_generator = PatchMixGenerator(alpha, patch_size, p)
+        self._param_generator: PatchMixGenerator = PatchMixGenerator(alpha, patch_size, p)
 
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
@@ -593,8 +593,8 @@ class RandomJigsaw(MixAugmentationBaseV2, keeps_contract=True):
         **options: Any,
     ) -> None:
         super().__init__(p, 1.0, same_on_batch, keepdim, data_keys, **options)
-        generator = JigsawGenerator(grid, ensure_perm)
-        self._param_generator, self.grid = generator, generator.grid
+        self._param_generator: JigsawGenerator = JigsawGenerator(grid, ensure_perm)
+        self.grid = self._param_generator.grid
 
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None

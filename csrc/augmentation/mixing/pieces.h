@@ -62,7 +62,7 @@ struct MixPieces {
   MixKind kind;
   int64_t rows, columns_of_grid;  // of grids; height and width of a patch
   int64_t height, width, out_height, out_width;
-  T low, high;  // of the side of a window
+  T low, high;  // of the side of a window; for jigsaws `low` is not 0 where the identity is replaced
 
   KV_HD T drawn(int64_t b, int i) const { return columns[b * columns_stride + first + i]; }
   KV_HD T* piece(int64_t b, int n) const { return result + (b * count + n) * kPieceNumbers; }

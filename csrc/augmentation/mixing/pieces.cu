@@ -1,5 +1,5 @@
 // Images made of pieces on CUDA: each thread has 16 bytes of a row of the result.
-#include "augmentation/pieces.h"
+#include "augmentation/mixing/pieces.h"
 #include "core/launch.cuh"
 
 namespace kv::augmentation::cuda {

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 import kvision.augmentation as A
-from kvision.augmentation.pieces import MIX_KINDS, make_piece, mix_pieces, paste_pieces
+from kvision.augmentation.mixing.pieces import MIX_KINDS, make_piece, mix_pieces, paste_pieces
 from op_tests import OpTests, assert_close
 
 

@@ -1,5 +1,5 @@
 // Images made of pieces: schemas and entries, for CPU and CUDA.
-#include "augmentation/pieces.h"
+#include "augmentation/mixing/pieces.h"
 #include "glue/glue.h"
 
 namespace kv::augmentation {

@@ -10,10 +10,10 @@ namespace kvision::ops {
 namespace detail {
 
 inline variable_list apply_operation_gradients(Backward const& b);
-inline variable_list salt_and_pepper_gradients(Backward const& b);
-inline variable_list salt_and_pepper_backward_gradients(Backward const& b);
 inline variable_list paste_pieces_gradients(Backward const& b);
 inline variable_list paste_pieces_backward_gradients(Backward const& b);
+inline variable_list salt_and_pepper_gradients(Backward const& b);
+inline variable_list salt_and_pepper_backward_gradients(Backward const& b);
 inline variable_list transform_matrix_gradients(Backward const& b);
 
 }  // namespace detail
@@ -64,6 +64,12 @@ inline constexpr Operator<"elastic_displacements",
 inline constexpr Operator<"erase_rectangles", Tensor(Tensor images, Tensor boxes, Tensor values)> erase_rectangles{
     detail::rules::erase_rectangles};
 
+// --- augmentation/mixing/pieces_op.cpp
+
+inline constexpr Operator<"paste_pieces", Tensor(Tensor images, Tensor pieces, Ints size)> paste_pieces{
+    Rule{detail::paste_pieces_gradients, 0, false}};
+inline constexpr Operator<"mix_pieces", Tensor(Tensor columns, Ints plan, Floats numbers)> mix_pieces{no_gradient};
+
 // --- augmentation/noise_op.cpp
 
 inline constexpr Operator<"gaussian_noise", Tensor(Tensor images, Tensor parameters, Tensor keys, OptionalTensor seeds,
@@ -75,12 +81,6 @@ inline constexpr Operator<"uniform_noise", Tensor(Tensor images, Tensor paramete
 inline constexpr Operator<"salt_and_pepper", Tensor(Tensor images, Tensor parameters, Tensor keys, OptionalTensor seeds,
                                                     OptionalTensor chosen, Ints plan)>
     salt_and_pepper{Rule{detail::salt_and_pepper_gradients, 0, false}};
-
-// --- augmentation/pieces_op.cpp
-
-inline constexpr Operator<"paste_pieces", Tensor(Tensor images, Tensor pieces, Ints size)> paste_pieces{
-    Rule{detail::paste_pieces_gradients, 0, false}};
-inline constexpr Operator<"mix_pieces", Tensor(Tensor columns, Ints plan, Floats numbers)> mix_pieces{no_gradient};
 
 // --- augmentation/preimages/preimages_op.cpp
 
@@ -113,6 +113,15 @@ inline variable_list apply_operation_gradients(Backward const& b) {
   return b.run("apply_operation_backward", {b.grads[0], b.arguments[0], b.arguments[1], b.arguments[2]}, no_gradient);
 }
 
+inline variable_list paste_pieces_gradients(Backward const& b) {
+  return b.run("paste_pieces_backward", {b.grads[0], b.arguments[1], b.image_size()},
+               Rule{paste_pieces_backward_gradients, 0, false});
+}
+
+inline variable_list paste_pieces_backward_gradients(Backward const& b) {
+  return b.run("paste_pieces", {b.grads[0], b.arguments[1], b.image_size()}, Rule{paste_pieces_gradients, 0, false});
+}
+
 inline variable_list salt_and_pepper_gradients(Backward const& b) {
   return b.run("salt_and_pepper_backward",
                {b.grads[0], b.arguments[1], b.arguments[2], b.arguments[3], b.arguments[4], b.arguments[5]},
@@ -123,15 +132,6 @@ inline variable_list salt_and_pepper_backward_gradients(Backward const& b) {
   return b.run("salt_and_pepper_backward",
                {b.grads[0], b.arguments[1], b.arguments[2], b.arguments[3], b.arguments[4], b.arguments[5]},
                Rule{salt_and_pepper_backward_gradients, 0, false});
-}
-
-inline variable_list paste_pieces_gradients(Backward const& b) {
-  return b.run("paste_pieces_backward", {b.grads[0], b.arguments[1], b.image_size()},
-               Rule{paste_pieces_backward_gradients, 0, false});
-}
-
-inline variable_list paste_pieces_backward_gradients(Backward const& b) {
-  return b.run("paste_pieces", {b.grads[0], b.arguments[1], b.image_size()}, Rule{paste_pieces_gradients, 0, false});
 }
 
 inline variable_list transform_matrix_gradients(Backward const& b) {

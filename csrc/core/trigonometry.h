@@ -24,6 +24,7 @@ KV_HD double rounded(double x) { return ::rint(x); }
 
 using Double4 = Lanes<double, 4>;
 
+KV_HD void sin_cos(double x, double& sine, double& cosine) { sine = __builtin_sin(x), cosine = __builtin_cos(x); }
 KV_HD Double4 square_root(Double4 x) { return vsqrt(x); }
 KV_HD Double4 power_of_two(Double4 x) { return vexp2<double, 4>(x); }
 

@@ -50,6 +50,11 @@ inline constexpr Operator<"distort_points", Tensor(Tensor points, Tensor camera,
 inline constexpr Operator<"undistort_map", Tensor(Tensor camera, Tensor coefficients, OptionalTensor tilt, Ints size)>
     undistort_map{Rule{detail::undistort_map_gradients}};
 
+// --- geometry/calibration/sample_poses_op.cpp
+
+inline constexpr Operator<"sample_poses", Tensor(Tensor points, Tensor pixels, Tensor camera, Tensor samples)>
+    sample_poses{non_differentiable};
+
 // --- geometry/correspondence_errors_op.cpp
 
 inline constexpr Operator<"correspondence_errors",
@@ -104,6 +109,19 @@ inline constexpr Operator<"motion_choice", Five(Tensor matrix, Tensor camera1, T
 inline constexpr Operator<"triangulate",
                           Tensor(Tensor points1, Tensor points2, Tensor projections1, Tensor projections2)>
     triangulate{Rule{detail::triangulate_gradients}};
+
+// --- geometry/optim/fit_poses_op.cpp
+
+inline constexpr Operator<"fit_poses",
+                          Four(Tensor start, Tensor points, Tensor pixels, Tensor camera, OptionalTensor weights,
+                               int64_t max_iterations, double ftol, double xtol, double gtol)>
+    fit_poses{non_differentiable};
+
+// --- geometry/optim/group_products_op.cpp
+
+inline constexpr Operator<"group_products", Tensor(Tensor left, Tensor right, Tensor left_rows, Tensor right_rows,
+                                                   Tensor offsets, OptionalTensor middle, OptionalTensor middle_rows)>
+    group_products{no_gradient};
 
 // --- geometry/ransac_op.cpp
 

@@ -10,8 +10,9 @@ from torch import Tensor
 
 from kvision.core.exceptions import ShapeError
 from kvision.geometry.optim._losses import Loss, with_derivatives
-from kvision.geometry.optim._normal_equations import Product
+from kvision.geometry.optim._normal_equations import Hessian, Slope
 from kvision.geometry.optim._variables import Layout, Reference, Variables, tensors_of
+from kvision.geometry.optim.group_products import Groups
 
 Residuals = Callable[[Variables], Tensor]
 WithJacobian = Callable[[Variables], tuple[Tensor, Mapping[str, Tensor]]]
@@ -66,13 +67,13 @@ class Problem:
 
     # --- Gauss-Newton ------------------------------------------------------------------------------------------------
 
-    def linearized(self, variables: Variables) -> tuple[Tensor, Tensor]:
-        """Residuals (B, N, n) and their Jacobian (B, N, n, T)."""
+    def linearized(self, variables: Variables) -> tuple[Tensor, dict[str, Tensor]]:
+        """Residuals (B, N, n) and their Jacobians (B, N, n, t) by variable."""
         seen = self.layout.seen(variables)
         if self.jacobian is not None:
             r, parts = self.jacobian(seen)
             r = self._checked(r, seen)
-            J = torch.cat([self._checked_jacobian(name, parts[name], r) for name in seen], -1)
+            J = {name: self._checked_jacobian(name, parts[name], r) for name in seen}
         else:
             r = self.blocks(seen)
             zeros = self.layout.zeros(seen)
@@ -85,9 +86,11 @@ class Problem:
                 derivative: Tensor = torch.func.jvp(moved, (zeros,), (tangents,))[1]
                 return derivative
 
-            J = torch.func.vmap(along)(self.layout.directions(seen)).movedim(0, -1)
+            columns = torch.func.vmap(along)(self.layout.directions(seen)).movedim(0, -1)
+            J = dict(zip(seen, columns.split([shape[-1] for shape in self.layout.shapes.values()], -1)))
         if self.weights is not None:
-            J = torch.where(self.weights[..., None, None] > 0, J, 0)
+            counts = self.weights[..., None, None] > 0
+            J = {name: torch.where(counts, part, 0) for name, part in J.items()}
         return r, J
 
     def _checked_jacobian(self, name: str, J: Tensor, r: Tensor) -> Tensor:
@@ -106,44 +109,9 @@ class Problem:
         bend = torch.where(s > 0, torch.maximum(2 * bend, -slope / torch.where(s > 0, s, 1)), 2 * bend)
         return (slope, bend) if self.weights is None else (self.weights * slope, self.weights * bend)
 
-    def gauss_newton(self, r: Tensor, J: Tensor) -> tuple[Callable[[Reference], Tensor], Product]:
-        """The gradient by reference and Gauss-Newton's Hessian by two, of residuals and their Jacobian.
-
-        With a robust kernel a block's Hessian is J^T (rho' + 2 rho'' r r^T) J, without curvature along r where that is negative.
-        """
-        slope, bend = self.slopes(r)
-        weighted_r = r if slope is None else slope[..., None] * r
-
-        def weighted(J: Tensor) -> Tensor:
-            if bend is None:
-                return J if slope is None else slope[..., None, None] * J
-            assert slope is not None
-            if r.shape[-1] == 1:
-                return (slope + bend * r[..., 0].square())[..., None, None] * J
-            return slope[..., None, None] * J + (bend[..., None] * r)[..., None] * (r[..., None, :] @ J)
-
-        def gradient(a: Reference) -> Tensor:
-            columns = J[..., a.columns]
-            if a.index is None:
-                return (columns.flatten(1, 2).mT @ weighted_r.flatten(1)[..., None])[..., 0]
-            return (columns.mT @ weighted_r[..., None])[..., 0]
-
-        def product(a: Reference, b: Reference) -> Tensor:
-            left, right = J[..., a.columns], weighted(J[..., b.columns])
-            if a.index is None and b.index is None:
-                return left.flatten(1, 2).mT @ right.flatten(1, 2)
-            return left.mT @ right
-
-        return gradient, product
-
-    def column_norms(self, r: Tensor, J: Tensor) -> Callable[[Reference], Tensor]:
-        """The squared norms of the columns of the weighted Jacobian by reference, which scale the damping.
-
-        Unlike the diagonal of the Hessian they do not vanish where a robust kernel has no curvature.
-        """
-        slope, squares = self.slopes(r)[0], J.square().sum(-2)
-        squares = squares if slope is None else slope[..., None] * squares
-        return lambda a: squares[..., a.columns].sum(1) if a.index is None else squares[..., a.columns]
+    def gauss_newton(self, r: Tensor, J: dict[str, Tensor]) -> GaussNewton:
+        """The gradient and Gauss-Newton's Hessian, of residuals and their Jacobians."""
+        return GaussNewton(r, J, *self.slopes(r))
 
     # --- exact derivatives -------------------------------------------------------------------------------------------
 
@@ -157,12 +125,17 @@ class Problem:
         slopes: dict[str, Tensor] = torch.func.grad(total)(steps)
         return slopes
 
-    def gradient(self, variables: Variables) -> Callable[[Reference], Tensor]:
+    def gradient(self, variables: Variables) -> Slope:
         """The gradient by reference, differentiable with respect to everything that residuals depend on."""
         slopes = self._slopes(variables, self.layout.zeros(self.layout.seen(variables)))
-        return lambda a: slopes[a.name][..., self._within(a)]
 
-    def hessian(self, variables: Variables) -> Product:
+        def slope(a: Reference, groups: Groups | None) -> Tensor:
+            x = slopes[a.name][..., a.within]
+            return x[:, None] if groups is None else groups(x)
+
+        return slope
+
+    def hessian(self, variables: Variables) -> Hessian:
         """The exact Hessian by two references."""
         seen = self.layout.seen(variables)
         zeros, directions = self.layout.zeros(seen), self.layout.directions(seen)
@@ -174,16 +147,73 @@ class Problem:
             ]
             return derivative
 
-        second = torch.func.vmap(along)(directions)
+        return _Exact(torch.func.vmap(along)(directions))
 
-        def product(a: Reference, b: Reference) -> Tensor:
-            if a.index is None and b.index is not None:  # a step of a sees each block of b; the reverse sees their sum
-                return second[b.name][a.columns][..., self._within(b)].movedim(0, -2)
-            return second[a.name][b.columns][..., self._within(a)].movedim(0, -1)
 
-        return product
+class GaussNewton:
+    """The gradient and the Hessian J^T (rho' + 2 rho'' r r^T) J of blocks of residuals, by reference.
 
-    def _within(self, a: Reference) -> slice:
-        """The columns of a reference among those of its variable."""
-        start = next(r.columns.start for r in self.layout.references if r.name == a.name)
-        return slice(a.columns.start - start, a.columns.stop - start)
+    Where the curvature along r is negative, it counts as 0.
+
+    Args:
+        r: residuals (B, N, n).
+        J: their Jacobians (B, N, n, t) by variable.
+        slope, bend: weight * rho' (B, N) and the factor of r r^T; None for 1 and for 0.
+    """
+
+    def __init__(self, r: Tensor, J: dict[str, Tensor], slope: Tensor | None, bend: Tensor | None) -> None:
+        self.r, self.J, self.slope, self.bend = r, J, slope, bend
+        self.weighted_r = (r if slope is None else slope[..., None] * r)[..., None]
+
+    def _weighted(self, J: Tensor) -> Tensor:
+        slope, bend, r = self.slope, self.bend, self.r
+        if bend is None:
+            return J if slope is None else slope[..., None, None] * J
+        assert slope is not None
+        if r.shape[-1] == 1:
+            return (slope + bend * r[..., 0].square())[..., None, None] * J
+        return slope[..., None, None] * J + (bend[..., None] * r)[..., None] * (r[..., None, :] @ J)
+
+    def _part(self, a: Reference) -> Tensor:
+        return self.J[a.name][..., a.within]
+
+    def gradient(self, a: Reference, groups: Groups | None) -> Tensor:
+        return _sums(self._part(a), self.weighted_r, groups)[..., 0]
+
+    def column_norms(self, a: Reference, groups: Groups | None) -> Tensor:
+        """The squared norms of the columns of the weighted Jacobian, which scale the damping.
+
+        Unlike the diagonal of the Hessian they do not vanish where a robust kernel has no curvature.
+        """
+        squares = self._part(a).square().sum(-2)
+        squares = squares if self.slope is None else self.slope[..., None] * squares
+        return squares.sum(1, keepdim=True) if groups is None else groups(squares)
+
+    def blocks(self, a: Reference, b: Reference) -> Tensor:
+        return self._part(a).mT @ self._weighted(self._part(b))
+
+    def sums(self, a: Reference, b: Reference, groups: Groups | None) -> Tensor:
+        return _sums(self._part(a), self._weighted(self._part(b)), groups)
+
+
+class _Exact:
+    """Second derivatives of the costs: of the slopes of all variables along steps of all columns."""
+
+    def __init__(self, second: dict[str, Tensor]) -> None:
+        self.second = second
+
+    def blocks(self, a: Reference, b: Reference) -> Tensor:
+        if a.index is None and b.index is not None:  # a step of a sees each block of b; the reverse sees their sum
+            return self.second[b.name][a.columns][..., b.within].movedim(0, -2)
+        return self.second[a.name][b.columns][..., a.within].movedim(0, -1)
+
+    def sums(self, a: Reference, b: Reference, groups: Groups | None) -> Tensor:
+        x = self.blocks(a, b)
+        return x[:, None] if groups is None else groups(x)
+
+
+def _sums(left: Tensor, right: Tensor, groups: Groups | None) -> Tensor:
+    """Sums of left^T right by groups, or of all rows as one group."""
+    if groups is None:
+        return (left.flatten(1, 2).mT @ right.flatten(1, 2))[:, None]
+    return groups.products(left, right)

@@ -82,7 +82,8 @@ def chosen(condition: Tensor, a: Variables, b: Variables | float) -> Variables:
 class Reference:
     """How residuals see a variable: the element `index[n]` of `count` in block n, or the only one for None.
 
-    `columns` are its derivatives in the Jacobian of a block; its unknowns begin at `offset` among all.
+    `columns` are its derivatives in the Jacobian of a block, and `within` those in the part of the variable; its unknowns begin
+    at `offset` among all.
     """
 
     name: str
@@ -91,6 +92,7 @@ class Reference:
     offset: int
     index: Tensor | None
     columns: slice
+    within: slice
 
 
 class Layout:
@@ -126,15 +128,17 @@ class Layout:
                 )
             if name not in self.index:
                 width = size * _product(shape[1:])
-                self.references.append(Reference(name, width, 1, offset, None, slice(column, column + width)))
+                every = slice(column, column + width)
+                self.references.append(Reference(name, width, 1, offset, None, every, slice(0, width)))
                 self.shapes[name] = (width,)
                 count, column = 1, column + width
             else:
                 i, count, width = self.index[name], shape[1], size * _product(shape[2:])
                 rows = i.shape[1:]
                 for k, each in enumerate(i[:, None].unbind(1) if i.dim() == 1 else i.unbind(1)):
-                    at = column + k * width
-                    self.references.append(Reference(name, width, count, offset, each, slice(at, at + width)))
+                    within = slice(k * width, (k + 1) * width)
+                    columns = slice(column + within.start, column + within.stop)
+                    self.references.append(Reference(name, width, count, offset, each, columns, within))
                 self.shapes[name] = (i.shape[0], _product(rows) * width)
                 column += _product(rows) * width
             self.slices[name] = slice(offset, offset + count * width)

@@ -13,7 +13,9 @@ from kvision import _check
 from kvision.geometry.optim._derivatives import Problem, Residuals, WithJacobian
 from kvision.geometry.optim._losses import Loss, RobustLoss, loss_of
 from kvision.geometry.optim._normal_equations import Assembly
-from kvision.geometry.optim._variables import Layout, Variables, chosen, detached, one_of, tensors_of, value_like
+from kvision.geometry.optim._solver import Solver
+from kvision.geometry.optim._variables import Layout, Variables, detached, one_of, tensors_of, value_like
+from kvision.geometry.optim.reprojection import ReprojectionError, fitted_poses, is_pose_problem
 
 __all__ = ["LeastSquaresResult", "least_squares"]
 
@@ -21,8 +23,6 @@ Method: TypeAlias = Literal["levenberg-marquardt", "gauss-newton"]
 _METHODS = get_args(Method)
 Gradient: TypeAlias = Literal["implicit", "unrolled", "none"]
 _GRADIENTS = get_args(Gradient)
-_FIRST_DAMPING = 1e-3
-_GROWTH = 4.0  # of the damping when a step fails, and of this factor
 
 
 @dataclass(frozen=True)
@@ -150,12 +150,17 @@ def least_squares(
         _check.shape(op, "weights", weights, "B", "N")
     problem = Problem(op, residuals, layout, weights, rho, jacobian)
     start = {name: _broadcast(x) for name, x in variables.items()}
-    solver = _Solver(problem, assembly, method == "levenberg-marquardt", max_iterations, *tolerances)
+    solver = Solver(problem, assembly, method == "levenberg-marquardt", max_iterations, *tolerances)
     if gradient == "unrolled":
         solution, cost, converged, iterations = solver.solve(start)
     else:
         with torch.no_grad():
-            solution, cost, converged, iterations = solver.solve(detached(start))
+            if isinstance(residuals, ReprojectionError) and is_pose_problem(residuals, problem, method):
+                solution, cost, converged, iterations = fitted_poses(
+                    residuals, detached(start), weights, max_iterations, tolerances
+                )
+            else:
+                solution, cost, converged, iterations = solver.solve(detached(start))
         if gradient == "implicit" and torch.is_grad_enabled():
             solution, cost = _with_implicit_gradient(problem, assembly, solution, cost)
     constant = detached(solution)
@@ -179,76 +184,9 @@ def _information(problem: Problem, assembly: Assembly, variables: Variables) -> 
     count = torch.full_like(r[:, 0, 0], r[0].numel() if len(r) else 0) if r.shape[1] else r.new_zeros(len(r))
     if problem.weights is not None:
         count = r.shape[2] * (problem.weights > 0).sum(-1).to(r.dtype)
-    unknowns = (assembly.vector(problem.column_norms(r, J)) > 0).sum(-1)
-    return assembly.information(problem.gauss_newton(r, J)[1]), count - unknowns
-
-
-class _Solver:
-    def __init__(
-        self,
-        problem: Problem,
-        assembly: Assembly,
-        is_damped: bool,
-        max_iterations: int,
-        ftol: float,
-        xtol: float,
-        gtol: float,
-    ) -> None:
-        self.problem, self.assembly, self.is_damped, self.max_iterations = problem, assembly, is_damped, max_iterations
-        self.ftol, self.xtol, self.gtol = ftol, xtol, gtol
-
-    def solve(self, x: Variables) -> tuple[Variables, Tensor, Tensor, Tensor]:
-        """The solutions, their costs, whether they converged, and after how many steps."""
-        problem, assembly = self.problem, self.assembly
-        cost = problem.cost(x)
-        is_valid = cost.isfinite()
-        eps = torch.finfo(cost.dtype).eps
-        damping = torch.full_like(cost, _FIRST_DAMPING).detach() if self.is_damped else None
-        growth = torch.full_like(cost, _GROWTH).detach()
-        done = cost.detach() == 0
-        iterations = torch.zeros_like(done, dtype=torch.int64)
-        for _ in range(self.max_iterations):
-            if _check.values_are_readable(done) and bool((done | ~is_valid).all()):
-                break
-            r, J = problem.linearized(x)
-            by_reference, product = problem.gauss_newton(r, J)
-            slope = assembly.vector(by_reference)
-            norms = assembly.vector(problem.column_norms(r, J))
-            added = None if damping is None else torch.where(norms == 0, 1, damping[:, None] * norms)
-            step, predicted = assembly.solve(product, slope, added)
-            step = torch.where(done[:, None] | ~step.isfinite(), 0, step)
-            candidate = problem.layout.retracted(x, step)
-            new_cost = problem.cost(candidate)
-            with torch.no_grad():
-                # Near the minimum the cost is flat to its rounding, and the step knows better.
-                is_better = new_cost <= cost + 8 * eps * cost
-                accepted = ~done & (is_better if self.is_damped else new_cost.isfinite()) & predicted.isfinite()
-                is_small = step.norm(dim=-1) <= max(self.xtol, 4 * eps) * (self.xtol + _size(x))
-                flat = predicted <= max(self.ftol, eps) * cost
-                reached = predicted.isfinite() & (is_small | flat | self._is_stationary(slope, norms, cost))
-                iterations += (~done & is_valid).long()
-                if damping is not None:
-                    ratio = (cost - new_cost) / predicted
-                    shrunk = damping * (1 - (2 * ratio - 1) ** 3).clamp(1 / 9, 1)
-                    damping = torch.where(accepted, shrunk, damping * growth).clamp(1e-15, 1e15)
-                    growth = torch.where(accepted, _GROWTH, _GROWTH * growth).clamp(max=1e6)
-            x = chosen(accepted, candidate, x)
-            cost = torch.where(accepted, new_cost, cost)
-            done = done | reached
-        return chosen(is_valid, x, torch.nan), torch.where(is_valid, cost, torch.nan), done & is_valid, iterations
-
-    def _is_stationary(self, slope: Tensor, norms: Tensor, cost: Tensor) -> Tensor:
-        """Whether all columns of the Jacobian, of squared norms (B, D), are orthogonal to the residuals, up to `gtol`."""
-        return (slope.abs() <= self.gtol * norms.sqrt() * (2 * cost).sqrt()[:, None]).all(-1)
-
-
-def _size(variables: Variables) -> Tensor:
-    """The lengths (B,) of all numbers of the variables."""
-    return (
-        torch.stack([t[..., None].flatten(1).square().sum(-1) for x in variables.values() for t in tensors_of(x)])
-        .sum(0)
-        .sqrt()
-    )
+    model = problem.gauss_newton(r, J)
+    unknowns = (assembly.vector(model.column_norms) > 0).sum(-1)
+    return assembly.information(assembly.equations(model)), count - unknowns
 
 
 # --- gradients through the solution ----------------------------------------------------------------------------------
@@ -290,7 +228,7 @@ def _with_implicit_gradient(
         return solution, cost
 
     def solve(grad: Tensor) -> Tensor:
-        return assembly.solve(problem.hessian(solution), grad, None, positive=False).step
+        return assembly.solve(assembly.equations(problem.hessian(solution)), grad, None, positive=False).step
 
     moved = problem.layout.retracted(solution, _ImplicitStep.apply(slope, solve))
     value = problem.cost(solution)  # its derivative along the solution is 0

@@ -9,6 +9,7 @@ from torch import Tensor
 
 import kvision as K
 from kvision.geometry.liegroup import Se3, Sim3, So3
+from point_op_tests import SINGLE_AND_DOUBLE, Call, PointOpTests
 
 F64 = torch.float64
 CAMERA = torch.tensor([[800.0, 0, 320], [0, 820, 240], [0, 0, 1]], dtype=F64)
@@ -26,6 +27,11 @@ def seen(B: int, N: int, wrong: int = 0, noise: float = 0.0) -> tuple[Tensor, Te
     return X, x, CAMERA.expand(B, 3, 3), torch.cat([R, t[..., None]], -1)
 
 
+_SEEN = seen(1, 9)
+_SAMPLES = torch.stack([torch.randperm(9, generator=torch.Generator().manual_seed(i))[:4] for i in range(6)])
+_SAMPLED = (*(x[0] for x in _SEEN[:3]), _SAMPLES)
+
+
 def degrees(R1: Tensor, R2: Tensor) -> Tensor:
     return torch.rad2deg(torch.acos((((R1 @ R2.mT).diagonal(dim1=1, dim2=2).sum(1) - 1) / 2).clamp(-1, 1)))
 
@@ -41,6 +47,21 @@ def test_poses_of_three_points_are_those_of_opencv(device: torch.device) -> None
         cv2.solveP3P(X[i].numpy(), x[i].numpy(), CAMERA.numpy(), None, flags=cv2.SOLVEPNP_P3P)[0] for i in range(200)
     ]
     assert (found.sum(1) >= torch.tensor(counts)).float().mean() > 0.98
+
+
+class TestSamplePoses(PointOpTests):
+    calls = {
+        "sample_poses": [
+            Call(
+                tuple(lambda i=i: _SAMPLED[i] for i in range(4)),
+                broadcasts=False,
+                differentiable=False,
+                dtypes=SINGLE_AND_DOUBLE,
+                accepted=("another dtype", "samples of torch.int64", "samples cut along axis -2"),
+                tolerance=500,
+            )
+        ]
+    }
 
 
 def test_a_triangle_without_area_has_no_pose_and_a_pose_has_gradients(device: torch.device) -> None:

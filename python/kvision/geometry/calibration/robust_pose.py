@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._ops import register
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 from kvision.geometry._sigma_consensus import Errors, Fit, best_fits, consensus
 from kvision.geometry.calibration.alignment import check_pairs, kabsch, umeyama
@@ -16,13 +17,16 @@ from kvision.geometry.calibration.camera import poses_where
 from kvision.geometry.calibration.p3p import poses_of_triangles
 from kvision.geometry.calibration.pnp import _before_camera, check_correspondences
 from kvision.geometry.calibration.refined_pnp import _as_se3
+from kvision.geometry.conversions.rotations import quaternion_to_rotation_matrix, rotation_matrix_to_quaternion
 from kvision.geometry.liegroup import Se3, Sim3
 from kvision.geometry.optim import ReprojectionError, least_squares
+from kvision.geometry.optim.reprojection import fit_poses
 
 __all__ = ["kabsch_ransac", "solve_pnp_ransac", "umeyama_ransac"]
 
 _ROUNDS = 6  # the most fits by sigma-consensus++
 _REACH = 3.0  # the largest error that a fit uses, in thresholds
+_STEPS, _TOLERANCES = 3, (1e-8, 1e-8, 1e-8)  # of the least squares of one fit of a pose
 
 
 def solve_pnp_ransac(
@@ -73,35 +77,53 @@ def solve_pnp_ransac(
     op = "solve_pnp_ransac"
     check_correspondences(op, world_points, img_points, intrinsics, None, 4, "four")
     threshold, draws = _sampled(op, world_points, mask, 4, inl_th, max_samples, seed)
-    batch = len(world_points)
 
-    def hypotheses(samples: Tensor) -> Tensor:
-        X = _at(world_points, samples).double()
-        rays = torch.nn.functional.pad(_before_camera(img_points.double(), intrinsics.double()), (0, 1), value=1.0)
-        poses = poses_of_triangles(X[:, :, :3].flatten(0, 1), _at(rays, samples)[:, :, :3].flatten(0, 1))
-        poses = poses.unflatten(0, (batch, -1))  # (B, S, 4, 3, 4)
-        fourth = _at(img_points, samples)[:, :, None, 3:].double()
-        error = _squared_errors(poses, X[:, :, None, 3:], fourth, intrinsics.double()[:, None, None])
-        best = error.argmin(2)[..., None, None].expand(-1, -1, 1, 3, 4)
-        return poses.gather(2, best)[:, :, 0].to(world_points.dtype)
+    homogeneous = torch.nn.functional.pad(world_points, (0, 1), value=1.0).mT
 
     def errors(poses: Tensor) -> Tensor:
-        return _squared_errors(poses, world_points[:, None], img_points[:, None], intrinsics[:, None])
-
-    reprojection = ReprojectionError(img_points, intrinsics, world_points)
+        rows = intrinsics @ poses.transpose(1, 2).flatten(2)  # (B, 3, S 4), one product for all hypotheses
+        rows = rows.unflatten(2, (-1, 4)).transpose(1, 2).flatten(1, 2)
+        h = (rows @ homogeneous).unflatten(1, (-1, 3))  # (B, S, 3, N)
+        return _squared_distances(h.mT, img_points[:, None])
 
     def fit(poses: Tensor, weights: Tensor) -> Tensor:
-        start = {"pose": _as_se3(poses[:, 0])}
-        pose = least_squares(reprojection, start, weights[:, 0], max_iterations=3, gradient="none").variables["pose"]
-        return pose.matrix()[:, None, :3]
+        q = rotation_matrix_to_quaternion(poses[:, 0, :, :3])
+        start = torch.cat([q, poses[:, 0, :, 3]], -1)
+        observed = (world_points, img_points, intrinsics, weights[:, 0])
+        pose = fit_poses(start, *observed, _STEPS, *_TOLERANCES)[0]
+        return torch.cat([quaternion_to_rotation_matrix(pose[:, :4]), pose[:, 4:, None]], -1)[:, None]
 
     with torch.no_grad():
-        pose, weights, inliers = _estimated(hypotheses(draws), errors, fit, threshold, mask)
+        hypotheses = _sample_poses(world_points, img_points, intrinsics, draws)
+        pose, weights, inliers = _estimated(hypotheses, errors, fit, threshold, mask)
         is_valid = inliers.sum(1) >= 4
         weights = torch.where(is_valid[:, None], weights, 1)
-    solution = least_squares(reprojection, {"pose": _as_se3(pose)}, weights, max_iterations=10).variables["pose"]
+    error = ReprojectionError(img_points, intrinsics, world_points)
+    solution = least_squares(error, {"pose": _as_se3(pose)}, weights, max_iterations=10).variables["pose"]
     is_valid = is_valid & solution.t.isfinite().all(-1)
     return poses_where(is_valid, solution), is_valid, inliers & is_valid[:, None]
+
+
+def _sample_poses_reference(world_points: Tensor, img_points: Tensor, K: Tensor, samples: Tensor) -> Tensor:
+    X, camera = _at(world_points, samples).double(), K.double()
+    rays = torch.nn.functional.pad(_before_camera(img_points.double(), camera), (0, 1), value=1.0)
+    poses = poses_of_triangles(X[:, :, :3].flatten(0, 1), _at(rays, samples)[:, :, :3].flatten(0, 1))
+    poses = poses.unflatten(0, samples.shape[:2])  # (B, S, 4, 3, 4)
+    fourth = _at(img_points, samples)[:, :, None, 3:].double()
+    error = _squared_errors(poses, X[:, :, None, 3:], fourth, camera[:, None, None])[..., 0]
+    best = error.argmin(2)[..., None, None, None].expand(-1, -1, 1, 3, 4)
+    is_seen = (error.amin(2) < torch.inf)[..., None, None]
+    return torch.where(is_seen, poses.gather(2, best)[:, :, 0], torch.nan).to(world_points.dtype)
+
+
+# [R | t] (B, S, 3, 4) of samples (B, S, 4) of points (B, N, 3) and pixels (B, N, 2): of the poses that see the first three of a
+# sample that which sees the fourth one best; NaN without one.
+_sample_poses = register(
+    "sample_poses",
+    _sample_poses_reference,
+    fake=lambda points, pixels, camera, samples: (*samples.shape[:2], 3, 4),
+    non_differentiable=(0,),
+)
 
 
 def kabsch_ransac(
@@ -244,13 +266,13 @@ def _sampled(
         _check.same_device(op, points=points, mask=mask)
         existing = mask.sum(1, keepdim=True)
     random = torch.rand(batch, count, size, device=points.device, dtype=torch.float64, generator=generator)
-    drawn: list[Tensor] = []  # in ascending order
+    drawn: list[Tensor] = []  # in ascending order, but for the last one
     for i in range(size):
         index = (random[..., i] * (existing - i).clamp(min=1)).long()
         for before in drawn:
             index = index + (index >= before).long()
         drawn.append(index)
-        for j in range(i, 0, -1):
+        for j in range(i if i < size - 1 else 0, 0, -1):
             low, high = torch.minimum(drawn[j - 1], drawn[j]), torch.maximum(drawn[j - 1], drawn[j])
             drawn[j - 1], drawn[j] = low, high
     samples = torch.stack(drawn, -1).clamp(max=max(n - 1, 0))
@@ -269,7 +291,11 @@ def _at(points: Tensor, samples: Tensor) -> Tensor:
 def _squared_errors(poses: Tensor, X: Tensor, x: Tensor, K: Tensor) -> Tensor:
     """Squared distances in pixels (..., N) between projections of X (..., N, 3) and x (..., N, 2); inf behind the camera."""
     P = K @ poses
-    h = X @ P[..., :3].mT + P[..., None, :, 3]
+    return _squared_distances(X @ P[..., :3].mT + P[..., None, :, 3], x)
+
+
+def _squared_distances(h: Tensor, x: Tensor) -> Tensor:
+    """Squared distances (..., N) between homogeneous points (..., N, 3) in front of a camera and x (..., N, 2); inf behind it."""
     z = h[..., 2:]
     error = (h[..., :2] / torch.where(z > 0, z, 1) - x).square().sum(-1)
     return torch.where((z[..., 0] > 0) & error.isfinite(), error, torch.inf)

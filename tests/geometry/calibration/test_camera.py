@@ -9,7 +9,9 @@ from torch import Tensor
 
 import kvision as K
 from kvision.geometry.calibration._lenses import distorted, distorted_with_jacobians
-from kvision.geometry.liegroup import Se3
+from kvision.geometry.calibration.camera import _BoardError
+from kvision.geometry.liegroup import Se3, So3
+from kvision.geometry.optim import least_squares
 
 F64 = torch.float64
 LENSES = {
@@ -90,6 +92,32 @@ def test_gradients_of_intrinsics(device: torch.device) -> None:
     with torch.no_grad():
         difference = (camera(x + 1e-3 * step) - camera(x - 1e-3 * step)) @ direction / 2e-3
     torch.testing.assert_close((grad * step).sum(), difference, rtol=1e-4, atol=1e-4)
+
+
+@pytest.mark.derivatives
+@pytest.mark.parametrize(("model", "count"), [("brown_conrady", 5), ("kannala_brandt", 4)])
+def test_implicit_gradients_are_those_of_iterations(model: str, count: int, device: torch.device) -> None:
+    """Of intrinsics and lens: against Gauss-Newton's steps from near the solution, unrolled."""
+    X, x = (t.to(device) for t in views(model, count, views=4, noise=0.05))
+    x.requires_grad_()
+    fit = K.geometry.calibrate_camera(X, x, SIZE, model=model, max_iterations=100)
+    camera = fit.camera_matrix[:, [0, 1, 0, 1], [0, 1, 2, 2]]
+    weights = torch.cat([torch.ones(4), 100 * torch.ones(count)]).to(camera)
+    implicit = torch.autograd.grad(torch.cat([camera[0], fit.dist[0]]) @ weights, x)[0]
+    pose = Se3(So3.from_wxyz(fit.pose.quaternion.data.detach()), fit.pose.t.detach()).requires_grad_(False)
+    unrolled = least_squares(
+        _BoardError(model, X, x, torch.ones_like(x[..., 0])),
+        {"camera": camera.detach() + 3, "dist": fit.dist.detach(), "pose": pose},
+        index={"pose": torch.arange(4, device=device)},
+        eliminate="pose",
+        method="gauss-newton",
+        max_iterations=8,
+        **dict.fromkeys(("ftol", "xtol", "gtol"), 0.0),
+        gradient="unrolled",
+    ).variables
+    total = torch.cat([unrolled["camera"][0], unrolled["dist"][0]]) @ weights
+    expected = torch.autograd.grad(total, x)[0]
+    assert (implicit - expected).norm() < 1e-3 * expected.norm()
 
 
 def test_missing_points_and_views(device: torch.device) -> None:

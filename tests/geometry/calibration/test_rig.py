@@ -36,29 +36,44 @@ def views(model: str = "brown_conrady", cameras: int = 2, count: int = 8, noise:
     return board, pixels + noise * torch.randn(pixels.shape, generator=generator, dtype=F64)
 
 
-@pytest.mark.parametrize("is_known", [pytest.param(False, marks=pytest.mark.slow), True])
-def test_as_accurate_as_opencv(is_known: bool, device: torch.device) -> None:
+@pytest.mark.parametrize(
+    ("model", "is_known"),
+    [
+        pytest.param("brown_conrady", False, marks=pytest.mark.slow),
+        ("brown_conrady", True),
+        pytest.param("kannala_brandt", False, marks=pytest.mark.slow),
+    ],
+)
+def test_as_accurate_as_opencv(model: str, is_known: bool, device: torch.device) -> None:
     cv2 = pytest.importorskip("cv2")
-    X, x = views()
-    boards = [v.numpy().astype(np.float32) for v in X[0]]
-    corners = [[v.numpy().astype(np.float32) for v in t] for t in x[0]]
-    lenses = [cv2.calibrateCamera(boards, c, SIZE[::-1], None, None)[1:3] for c in corners]
-    criteria = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 60, 1e-9)
+    X, x = views(model)
+    criteria = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 100, 1e-9)
     flags = cv2.CALIB_FIX_INTRINSIC if is_known else cv2.CALIB_USE_INTRINSIC_GUESS
+    boards, corners = [v.numpy() for v in X[0]], [[v.numpy() for v in t] for t in x[0]]
+    if model == "kannala_brandt":
+        boards, corners = [v[None] for v in boards], [[v[None] for v in t] for t in corners]
+        again, no_skew = getattr(cv2, "CALIB_RECOMPUTE_EXTRINSIC", 2), getattr(cv2, "CALIB_FIX_SKEW", 8)  # OpenCV 5
+        flags, calibrate, calibrate_pair = flags | no_skew, cv2.fisheye.calibrate, cv2.fisheye.stereoCalibrate
+        options = {"flags": again | no_skew, "criteria": criteria}
+        start = np.zeros((3, 3)), np.zeros((4, 1))
+    else:
+        boards, corners = [v.astype(np.float32) for v in boards], [[v.astype(np.float32) for v in t] for t in corners]
+        calibrate, calibrate_pair, options, start = cv2.calibrateCamera, cv2.stereoCalibrate, {}, (None, None)
+    lenses = [calibrate(boards, c, SIZE[::-1], *start, **options)[1:3] for c in corners]
     given = {}
     if is_known:
         given["camera_matrix"] = torch.stack([torch.from_numpy(k) for k, _ in lenses])[None].to(device)
         given["dist"] = torch.stack([torch.from_numpy(d).flatten() for _, d in lenses])[None].to(device)
-    rms, K1, _, K2, _, R, t, *_ = cv2.stereoCalibrate(
-        boards, *corners, *(v for lens in lenses for v in lens), SIZE[::-1], flags=flags, criteria=criteria
+    rms, K1, _, K2, _, R, t, *_ = calibrate_pair(
+        boards, *corners, *(v.copy() for lens in lenses for v in lens), SIZE[::-1], flags=flags, criteria=criteria
     )
-    ours = K.geometry.calibrate_rig(X.to(device), x.to(device), SIZE, **given)
+    ours = K.geometry.calibrate_rig(X.to(device), x.to(device), SIZE, model=model, **given)
     assert abs(ours.rms.item() - rms) < 1e-4 and ours.converged.all()
-    assert (ours.rig.t.cpu()[0, 1] - torch.from_numpy(t[:, 0])).abs().max() < 1e-4
+    assert (ours.rig.t.cpu()[0, 1] - torch.from_numpy(t.reshape(3))).abs().max() < 1e-4
     assert (ours.rig.r.matrix().cpu()[0, 1] - torch.from_numpy(R)).abs().max() < 1e-4
     assert (ours.camera_matrix.cpu()[0] - torch.from_numpy(np.stack([K1, K2]))).abs().max() < 0.2
     deviation = ours.covariance[0].diagonal().sqrt().cpu()
-    assert deviation.shape == ((6,) if is_known else (24,))
+    assert deviation.shape == ((6,) if is_known else (14 + 2 * len(LENSES[model]),))
     if not is_known:
         truth = torch.tensor(CAMERAS, dtype=F64)[:2].flatten()
         found = ours.camera_matrix.cpu()[0, :, [0, 1, 0, 1], [0, 1, 2, 2]].flatten()

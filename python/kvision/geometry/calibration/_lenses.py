@@ -50,11 +50,14 @@ def distorted_with_jacobians(model: str, points: Tensor, k: Tensor) -> tuple[Ten
     u, v, jacobian, _ = _with_jacobian(x, y, c)
     denominator = 1 + r2 * (c[5] + r2 * (c[6] + r2 * c[7]))
     growth = [r2 / denominator, r2.square() / denominator, r2**3 / denominator]
-    radial, zero = _radial(r2, c), torch.zeros_like(r2)
     rows = [(x * g, y * g) for g in growth]
     rows[2:2] = [(2 * x * y, r2 + 2 * y * y), (r2 + 2 * x * x, 2 * x * y)]
-    rows += [(-x * radial * g, -y * radial * g) for g in growth]
-    rows += [(r2, zero), (r2.square(), zero), (zero, r2), (zero, r2.square())]
+    if k.shape[-1] > 5:
+        radial = _radial(r2, c)
+        rows += [(-x * radial * g, -y * radial * g) for g in growth]
+    if k.shape[-1] > 8:
+        zero = torch.zeros_like(r2)
+        rows += [(r2, zero), (r2.square(), zero), (zero, r2), (zero, r2.square())]
     to_k = torch.stack([torch.stack(row, -1) for row in rows[: k.shape[-1]]], -1)
     return torch.stack([u, v], -1), torch.stack(jacobian, -1).unflatten(-1, (2, 2)), to_k
 

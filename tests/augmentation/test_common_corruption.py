@@ -85,6 +85,9 @@ def test_frost_is_a_window_of_the_texture(device: torch.device) -> None:
     for i, (texture, top, left) in enumerate(((0, 0, 2), (1, 2, 0), (0, 1, 4))):
         window = textures[texture, :, top : top + 7, left : left + 8]
         torch.testing.assert_close(y[i], 0.7 * x[i].cpu() + 0.2 * window)
+    both = {**params, "texture": torch.zeros(3), "batch_prob": torch.ones(3)}
+    of_one, of_two = (A.RandomFrost(each, p=1.0)(x, params=both) for each in (textures[:1], textures))
+    torch.testing.assert_close(of_one, of_two)
     with pytest.raises(ValueError, match="RandomFrost: expected texture of at least 10 x 8 pixels, got 9 x 12"):
         A.RandomFrost(textures, p=1.0)(torch.rand(1, 3, 10, 8))
 

@@ -11,13 +11,14 @@ from kvision import _check
 from kvision._clamp import clamp
 from kvision._constants import constant
 from kvision._dtype import compute_dtype
-from kvision.augmentation import ranges
+from kvision.augmentation import maps, ranges
 from kvision.augmentation.corruption.blurs import reach_of
 from kvision.augmentation.corruption.noises import params_in_type_of
 from kvision.augmentation.engine import Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
 from kvision.augmentation.random_generator.mapped import MappedGenerator, NoiseMap
 from kvision.augmentation.random_generator.plasma import PlasmaGenerator
+from kvision.augmentation.warp_and_color import Resampling
 from kvision.core.exceptions import ShapeError, TypeCheckError
 from kvision.filters.smoothing.gaussian import gaussian_blur2d
 
@@ -104,12 +105,20 @@ def cut_textures(module: Any, params: Params, x: Tensor) -> Tensor:
     index = (u * count).long().clamp(max=count - 1)
     first_row = (down * (tall - height + 1)).long().clamp(max=tall - height)
     first_column = (right * (wide - width + 1)).long().clamp(max=wide - width)
-    rows = first_row + torch.arange(height, device=x.device)[:, None]
-    columns = first_column + torch.arange(width, device=x.device)
-    windows = textures.to(compute_dtype(x))[index, :, rows, columns].movedim(-1, 1)
+    textures = textures.to(compute_dtype(x))
+    if count == 1:  # in one launch, without a map of indices
+        one, zero = torch.ones_like(down), torch.zeros_like(down)
+        rows = ((one, zero, first_column), (zero, one, first_row), (zero, zero, one))
+        matrix = torch.cat([torch.cat(row, 2) for row in rows], 1)
+        windows = maps.warp(textures.expand(len(x), -1, -1, -1), matrix, (height, width), _PIXELS, inverse=False)
+    else:
+        at_rows = first_row + torch.arange(height, device=x.device)[:, None]
+        at_columns = first_column + torch.arange(width, device=x.device)
+        windows = textures[index, :, at_rows, at_columns].movedim(-1, 1)
     return windows if x.shape[1] == 3 else windows.mean(1, keepdim=True)
 
 
+_PIXELS = Resampling("nearest", "border", True)
 WINDOW = [((0.0, 1.0), name, None, None) for name in ("texture", "top", "left")]  # what `cut_textures` takes
 
 
@@ -161,7 +170,7 @@ class RandomFrost(IntensityAugmentationBase2D, keeps_contract=True):
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
         of_image, of_frost = params_in_type_of(params, input, "image_weight", "frost_weight")
-        return clamp(of_image * input + of_frost * cut_textures(self, params, input), 0, 1)
+        return clamp(torch.addcmul(of_frost * cut_textures(self, params, input), of_image, input), 0, 1)
 
 
 class Spatter(IntensityAugmentationBase2D, keeps_contract=True):

@@ -8,12 +8,15 @@ namespace {
 
 constexpr int kSamples = 32, kMaxWarps = 16;
 
-__global__ void __launch_bounds__(kSamples* kMaxWarps) draw_then_multiply(__grid_constant__ DrawsAndChain const p) {
-  int64_t const b = blockIdx.x * int64_t(kSamples) + threadIdx.x;
-  if (b < p.draws.batch)
-    for (int i = threadIdx.y; i < p.draws.count; i += blockDim.y) draw_sample(p.draws, p.draws.draws[i], b);
+template <class Draws>
+__global__ void __launch_bounds__(kSamples* kMaxWarps)
+    draw_then_multiply(__grid_constant__ DrawsAndChain<Draws> const p) {
+  int64_t const sample = blockIdx.x * int64_t(kSamples) + threadIdx.x, b = p.draws.first() + sample;
+  DrawParameters<float> const& common = p.draws.common();
+  if (sample < p.draws.samples())
+    for (int i = threadIdx.y; i < common.count; i += blockDim.y) draw_sample(p.draws, common.draws[i], sample);
   __syncthreads();
-  if (threadIdx.y > 0 || b >= p.draws.batch) return;
+  if (threadIdx.y > 0 || sample >= p.draws.samples()) return;
   TransformMatrix<float> const& chain = p.chain;
   double m[9];
   evaluate_chain(chain, m, [&](int column, double number) {
@@ -24,10 +27,16 @@ __global__ void __launch_bounds__(kSamples* kMaxWarps) draw_then_multiply(__grid
 
 }  // namespace
 
-int draw_and_multiply(DrawsAndChain const& p, CUstream_st* stream) {
-  dim3 const threads(kSamples, unsigned(clamp(p.draws.count, 1, kMaxWarps)));
-  draw_then_multiply<<<unsigned(ceil_div(p.draws.batch, int64_t(kSamples))), threads, 0, stream>>>(p);
+static_assert(sizeof(DrawsAndChain<DrawListParameters<float>>) <= 32764, "more than a kernel's parameters");
+
+template <class Draws>
+int draw_and_multiply(DrawsAndChain<Draws> const& p, CUstream_st* stream) {
+  dim3 const threads(kSamples, unsigned(clamp(p.draws.common().count, 1, kMaxWarps)));
+  draw_then_multiply<<<unsigned(ceil_div(p.draws.samples(), int64_t(kSamples))), threads, 0, stream>>>(p);
   return cudaGetLastError();
 }
+
+template int draw_and_multiply(DrawsAndChain<DrawParameters<float>> const&, CUstream_st*);
+template int draw_and_multiply(DrawsAndChain<DrawListParameters<float>> const&, CUstream_st*);
 
 }  // namespace kv::augmentation::cuda

@@ -7,13 +7,16 @@
 
 namespace kv::augmentation {
 
+// Draws are DrawParameters<float>, or DrawListParameters<float> for images of different sizes.
+template <class Draws>
 struct DrawsAndChain {
-  DrawParameters<float> draws;
+  Draws draws;
   TransformMatrix<float> chain;
 };
 
 namespace cuda {
-int draw_and_multiply(DrawsAndChain const& p, CUstream_st* stream);
+template <class Draws>
+int draw_and_multiply(DrawsAndChain<Draws> const& p, CUstream_st* stream);
 }  // namespace cuda
 
 }  // namespace kv::augmentation

@@ -36,7 +36,7 @@ inline Drawn draw_columns([[maybe_unused]] char const* op, Tensor const& image, 
     Tensor const columns = view_of(memory, {batch, draws.columns}, 0),
                  matrix = view_of(memory, {batch, 3, 3}, elements);
     draws.result = data_ptr<float>(columns);
-    DrawsAndChain p{draws, transform_params<float>(op, columns, chain.plan, chain.numbers)};
+    DrawsAndChain<DrawParameters<float>> p{draws, transform_params<float>(op, columns, chain.plan, chain.numbers)};
     p.chain.result = data_ptr<float>(matrix);
     KV_RUN(draw_and_multiply, image, p, batch, 0);
     return {columns, matrix};
@@ -45,6 +45,31 @@ inline Drawn draw_columns([[maybe_unused]] char const* op, Tensor const& image, 
   Tensor const columns = columns_for(draws, image);
   KV_RUN(draw_parameters, image, draws, draws.count ? draws.batch : 0, 64 * draws.count);
   return {columns, {}};
+}
+
+// The same for images of different sizes, whose first request has `width` numbers of its own for each of them.
+inline Drawn draw_list_columns([[maybe_unused]] char const* op, Tensor const& images,
+                               DrawParameters<float> const& draws, std::span<double const> listed, size_t width,
+                               [[maybe_unused]] ChainPlan const& chain) {
+  int64_t const batch = draws.batch, elements = batch * draws.columns;
+  Tensor const memory = empty({elements + 9 * batch}, images, Layout::planar, ScalarType::Float);
+  Tensor const columns = view_of(memory, {batch, draws.columns}, 0);
+#if defined(KV_CUDA)
+  Tensor const matrix = view_of(memory, {batch, 3, 3}, elements);
+  DrawsAndChain<DrawListParameters<float>> p;
+  p.chain = transform_params<float>(op, columns, chain.plan, chain.numbers);
+  p.chain.result = data_ptr<float>(matrix);
+  p.draws.all = draws;
+  p.draws.all.result = data_ptr<float>(columns);
+  for_each_listed(p.draws, listed, width, [&] { KV_RUN(draw_and_multiply, images, p, p.draws.count, 0); });
+  return {columns, matrix};
+#else
+  DrawListParameters<float> p;
+  p.all = draws;
+  p.all.result = data_ptr<float>(columns);
+  for_each_listed(p, listed, width, [&] { KV_RUN(draw_list_parameters, images, p, p.count, 64 * p.all.count); });
+  return {columns, {}};
+#endif
 }
 
 }  // namespace kv::augmentation

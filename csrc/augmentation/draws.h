@@ -29,7 +29,7 @@ constexpr int kDrawNumbers[kDrawKinds] = {0, 3, 4, 3, 3, 6, 6, 3, 3, 5, 3};
 constexpr int kDrawColumns[kDrawKinds] = {1, 1, 1, 1, 0, 4, 4, 1, 1, 2, 1};
 
 constexpr int kMaxDraws = 64, kMaxDrawNumbers = 256;  // of a launch, whose parameters take less than 4 KB
-constexpr int kMaxListedNumbers = 3584;  // of all samples of a launch, whose parameters take 32,764 bytes at most
+constexpr int kMaxListedNumbers = 3072;  // of all samples of a launch, whose parameters take 32,764 bytes at most
 
 // The draw that decides about p, and the sample that decides about p_batch.
 constexpr uint32_t kChosenDraw = 0, kBatchSample = 0xFFFFFFFF;
@@ -57,7 +57,7 @@ struct Draw {
   bool same_on_batch;
 };
 
-// T is the type of the result, float.
+// T is the type of the result, float. A launch has samples from first() on.
 template <class T>
 struct DrawParameters {
   T* result;  // (B, columns)
@@ -68,6 +68,9 @@ struct DrawParameters {
   Draw draws[kMaxDraws];
   double numbers[kMaxDrawNumbers];
 
+  KV_HD DrawParameters const& common() const { return *this; }
+  KV_HD int64_t first() const { return 0; }
+  KV_HD int64_t samples() const { return batch; }
   KV_HD DrawSource source(Draw const& d, int64_t b) const { return source_of_sample(d, d.same_on_batch ? 0 : b, b); }
   KV_HD DrawSource source_of_sample(Draw const& d, int64_t b) const { return source_of_sample(d, b, b); }
   // A seed is one of a sample: its index in the batch takes no part.
@@ -77,13 +80,23 @@ struct DrawParameters {
   }
 };
 
-// Draws with other numbers for each sample, as those for images of different sizes: of samples from `begin` on.
+// The first request of a list, which draws for images of different sizes, has `width` other numbers for each sample
+// behind its probabilities. Of samples from `begin` on.
+constexpr int kFirstListed = 2;
 template <class T>
 struct DrawListParameters {
-  DrawParameters<T> all;  // but for the numbers
+  DrawParameters<T> all;
   int64_t begin;
   int count, width;  // samples, and numbers of each
   double listed[kMaxListedNumbers];
+
+  KV_HD DrawParameters<T> const& common() const { return all; }
+  KV_HD int64_t first() const { return begin; }
+  KV_HD int64_t samples() const { return count; }
+  KV_HD double const* numbers(Draw const& d, int64_t i) const {
+    bool const is_listed = d.number < kFirstListed + width;
+    return is_listed ? listed + i * width + (d.number - kFirstListed) : all.numbers + d.number;
+  }
 };
 
 KV_KERNEL(draw_parameters, DrawParameters)
@@ -189,12 +202,12 @@ KV_HD double log_gamma_variate(DrawSource const& source, uint32_t index, uint32_
 
 // --- one draw of one sample ------------------------------------------------------------------------------------------
 
-// `numbers` are those of all draws.
+// With numbers `n`.
 template <class T>
-KV_HD void draw_sample(DrawParameters<T> const& p, double const* numbers, Draw const& d, int64_t b) {
+KV_HD void draw_sample(DrawParameters<T> const& p, double const* n, Draw const& d, int64_t b) {
   DrawSource const source = p.source(d, b);
   T* const result = p.result + b * p.columns + d.column;
-  double const *const n = numbers + d.number, *const probability = numbers + d.probability;
+  double const* const probability = p.numbers + d.probability;
   bool const chosen = source.is_chosen(probability[0], probability[1]);
   switch (d.kind) {
     case DrawKind::chosen:
@@ -250,14 +263,14 @@ KV_HD void draw_sample(DrawParameters<T> const& p, double const* numbers, Draw c
   }
 }
 
+// Sample i of a launch.
 template <class T>
 KV_HD void draw_sample(DrawParameters<T> const& p, Draw const& d, int64_t b) {
-  draw_sample(p, p.numbers, d, b);
+  draw_sample(p, p.numbers + d.number, d, b);
 }
-// Sample i of those that have numbers.
 template <class T>
 KV_HD void draw_sample(DrawListParameters<T> const& p, Draw const& d, int64_t i) {
-  draw_sample(p.all, p.listed + i * p.width, d, p.begin + i);
+  draw_sample(p.all, p.numbers(d, i), d, p.begin + i);
 }
 
 }  // namespace kv::augmentation

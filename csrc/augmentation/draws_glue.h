@@ -22,4 +22,41 @@ inline Tensor columns_for(DrawParameters<float>& p, Tensor const& images) {
   return result;
 }
 
+// How many draws the first request has.
+inline int draws_of_first(DrawParameters<float> const& p) {
+  int end = 0;
+  while (end < p.count && p.draws[end].probability == 0) ++end;
+  return end;
+}
+
+// Raises unless `listed` has `width` numbers of each sample, those of whole draws of the first request.
+inline void check_listed(char const* op, DrawParameters<float> const& p, std::span<double const> listed, size_t batch,
+                         size_t width) {
+  size_t own = 0;
+  int const end = draws_of_first(p);
+  for (int i = 0; i < end; ++i) own += size_t(kDrawNumbers[int(p.draws[i].kind)]);
+  KV_CHECK(listed.size() == batch * width && (!batch || width == own) && width <= kMaxListedNumbers, op, ": expected ",
+           own, " numbers for each of ", batch, " images, got ", listed.size(), " in all");
+  for (int i = 0; i < end; ++i)
+    for (size_t b = 0; p.draws[i].kind == DrawKind::permutation && b < batch; ++b) {
+      double const own_entries = listed[b * width + p.draws[i].number - kFirstListed];
+      KV_CHECK(own_entries == p.numbers[p.draws[i].number], op, ": expected permutations of ",
+               p.numbers[p.draws[i].number], " entries, got ", own_entries);
+    }
+}
+
+// Calls run() for as many samples at a time as have room for their numbers.
+template <class Run>
+void for_each_listed(DrawListParameters<float>& p, std::span<double const> listed, size_t width, Run run) {
+  size_t const batch = size_t(p.all.batch), most = width ? kMaxListedNumbers / width : batch;
+  p.width = int(width);
+  for (size_t begin = 0; begin < batch; begin += most) {
+    size_t const count = std::min(most, batch - begin);
+    p.begin = int64_t(begin);
+    p.count = int(count);
+    std::copy_n(listed.begin() + int64_t(begin * width), count * width, p.listed);
+    run();
+  }
+}
+
 }  // namespace kv::augmentation

@@ -97,38 +97,26 @@ Tensor draw_parameters(Tensor const& images, Tensor const& keys, std::optional<T
   return result;
 }
 
-// `numbers` has those of each sample, one after another.
 Tensor draw_list_parameters(Tensor const& images, Tensor const& keys, std::optional<Tensor> const& seeds,
-                            std::vector<int64_t> const& plan, std::vector<double> const& numbers) {
+                            std::vector<int64_t> const& plan, std::vector<double> const& numbers,
+                            std::vector<double> const& listed) {
   constexpr char const* op = "draw_list_parameters";
-  size_t const batch = images.dim() ? size_t(images.size(0)) : 0, width = batch ? numbers.size() / batch : 0;
-  KV_CHECK(numbers.size() == batch * width, op, ": expected as many numbers for each of ", batch, " images, got ",
-           numbers.size(), " in all");
-  if (!batch && !plan.empty()) return empty({0, plan[0]}, images, Layout::planar, ScalarType::Float);
   DrawListParameters<float> params;
-  params.all = draws_of(images, keys, seeds, plan, std::span(numbers).first(width), op);
-  for (int i = 0; i < params.all.count; ++i) {
-    size_t const number = params.all.draws[i].number;
-    for (size_t b = 0; params.all.draws[i].kind == DrawKind::permutation && b < batch; ++b)
-      KV_CHECK(numbers[b * width + number] == numbers[number], op, ": expected permutations of ", numbers[number],
-               " entries, got ", numbers[b * width + number]);
-  }
+  params.all = draws_of(images, keys, seeds, plan, numbers, op);
+  size_t const batch = size_t(params.all.batch), width = batch ? listed.size() / batch : 0;
+  check_listed(op, params.all, listed, batch, width);
   Tensor const result = columns_for(params.all, images);
-  size_t const most = width ? kMaxListedNumbers / width : batch;
-  for (size_t begin = 0; begin < batch && params.all.count; begin += most) {
-    size_t const count = std::min(most, batch - begin);
-    params.begin = int64_t(begin);
-    params.count = int(count);
-    params.width = int(width);
-    std::copy_n(numbers.begin() + int64_t(begin * width), count * width, params.listed);
-    KV_RUN(draw_list_parameters, images, params, params.count, 64 * params.all.count);
-  }
+  if (params.all.count)
+    for_each_listed(params, listed, width,
+                    [&] { KV_RUN(draw_list_parameters, images, params, params.count, 64 * params.all.count); });
   return result;
 }
 
 }  // namespace
 
 KV_OPERATOR(draw_parameters, "(Tensor images, Tensor keys, Tensor? seeds, int[] plan, float[] numbers) -> Tensor")
-KV_OPERATOR(draw_list_parameters, "(Tensor images, Tensor keys, Tensor? seeds, int[] plan, float[] numbers) -> Tensor")
+// `listed` has the numbers of each sample of the draws of the first request, which replace those among `numbers`.
+KV_OPERATOR(draw_list_parameters,
+            "(Tensor images, Tensor keys, Tensor? seeds, int[] plan, float[] numbers, float[] listed) -> Tensor")
 
 }  // namespace kv::augmentation

@@ -14,6 +14,8 @@ template <class T>
 struct WarpAndColor {
   geometry::Sample<T> warp;
   color::Program<float> program;
+
+  KV_HD int64_t first_sample() const { return 0; }
 };
 
 // On the CPU a band of rows of a sample is processed at a time, by programs without a mean.

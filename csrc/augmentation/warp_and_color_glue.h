@@ -2,7 +2,7 @@
 // draw_warp_and_color_op.cpp and operations_op.cpp.
 #pragma once
 
-#include "glue/glue.h"
+#include "glue/image_list.h"
 
 namespace kv::augmentation {
 
@@ -33,8 +33,22 @@ struct PassResults {
   std::optional<Tensor> matrix, means;
 };
 
+// A batch, or a list of images that the warp gives one size: then `like` is a batch of as many, of the first one's size
+// and layout.
+struct PassImages {
+  Tensor like;
+  Tensors const* list = nullptr;
+
+  PassImages(Tensor const& batch) : like(batch) {}
+  PassImages(char const* op, Tensors const& list) : like((check_image_list(op, "images", list), list[0])), list(&list) {
+    Tensor const& x = list[0];
+    like =
+        view_of(x, {int64_t(list.size()), x.size(0), x.size(1), x.size(2)}, {0, x.stride(0), x.stride(1), x.stride(2)});
+  }
+};
+
 // `matrices` are those of the warp, if the caller has computed them from the columns already.
-PassResults run_pass(Tensor const& image, std::optional<Tensor> const& columns, std::optional<Tensor> const& fill,
+PassResults run_pass(PassImages const& images, std::optional<Tensor> const& columns, std::optional<Tensor> const& fill,
                      std::optional<Tensor> const& matrices, std::vector<int64_t> const& size,
                      std::vector<int64_t> const& plan, std::vector<double> const& numbers);
 

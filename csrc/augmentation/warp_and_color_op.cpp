@@ -1,11 +1,14 @@
 // Warps with a program of color steps: schemas and entries, for CPU and CUDA. A warp without steps, or steps
 // without a warp, run as such. Where no kernel joins both, they run one after the other.
 #include "augmentation/broadcast_scalar.h"
+#include "augmentation/lists/warp_and_color_list.h"
 #include "augmentation/plan_reader.h"
 #include "augmentation/warp_and_color.h"
 #include "augmentation/warp_and_color_glue.h"
 #include "augmentation/warp_rows_backward.h"
 #include "color/program_glue.h"
+#include "geometry/transform/lists/resize_windows_list_glue.h"
+#include "geometry/transform/lists/warp_list_glue.h"
 #include "geometry/transform/resize/resize_windows_glue.h"
 #include "geometry/transform/warp_glue.h"
 
@@ -116,11 +119,19 @@ struct WarpAndColorArguments {
 #endif
   }
   // What the warp samples.
-  Tensor sampled(Tensor const& image) const {
+  Tensor sampled(PassImages const& images) const {
     geometry::Size const output = matrix->use.output;
+    if (images.list) return sampled_list(*images.list);
+    Tensor const& image = images.like;
     if (!plan.antialias) return geometry::warped(image, *sampling, *matrix);
     return geometry::windows_resized(op, image, *matrix_tensor, {output.height, output.width}, plan.interpolation,
                                      plan.align_corners, false);
+  }
+  Tensor sampled_list(Tensors const& images) const {
+    std::vector<int64_t> const size{matrix->use.output.height, matrix->use.output.width};
+    if (!plan.antialias) return geometry::warped_list(images, *sampling, *matrix, size)[0];
+    return geometry::windows_resized(op, images, *matrix_tensor, size, plan.interpolation, plan.align_corners,
+                                     false)[0];
   }
   // The gradient of the image from that of what is sampled.
   Tensor image_gradient(Tensor const& grad, Tensor const& image) const {
@@ -174,9 +185,28 @@ Tensor materialized([[maybe_unused]] char const* op, Tensor const& grad) {
   return result;
 }
 
+template <class T>
+void run_batch([[maybe_unused]] Tensor const& image, WarpAndColor<T> const& p, [[maybe_unused]] int64_t bands) {
+  KV_RUN(warp_and_color, image, p, p.warp.y.batch * bands, 6 * p.warp.y.channels * kBandPixels);
+}
+// Tables of at most kMaxListed images, one after the other.
+template <class T>
+void run_list(char const* op, Tensors const& images, WarpAndColor<T> const& p, [[maybe_unused]] int64_t bands) {
+  WarpAndColorList<T> list;
+  static_cast<WarpAndColor<T>&>(list) = p;
+  for (size_t first = 0; first < images.size(); first += kMaxListed) {
+    list.first = int64_t(first);
+    list.count = int(std::min(images.size() - first, size_t(kMaxListed)));
+    for (int i = 0; i < list.count; ++i)
+      list.images[i] = geometry::checked_planes(op, listed(images[first + size_t(i)]));
+    KV_RUN(warp_and_color_list, images[first], list, list.count * bands, 6 * p.warp.y.channels * kBandPixels);
+  }
+}
+
 // The result and the means of contrast.
-std::tuple<Tensor, Tensor> run_joined(WarpAndColorArguments const& a, Tensor const& image,
+std::tuple<Tensor, Tensor> run_joined(WarpAndColorArguments const& a, PassImages const& pass_images,
                                       color::ProgramArguments const& arguments) {
+  Tensor const& image = pass_images.like;
   color::PlanArgument const& plan = a.plan.program;
   geometry::Size const size = a.matrix->use.output;
   ScalarType const type = color::result_type(plan, image);
@@ -192,33 +222,32 @@ std::tuple<Tensor, Tensor> run_joined(WarpAndColorArguments const& a, Tensor con
     color::Program<float>& program = p.program;
     program.y = samples.pixels_of(a.op, y, channels == 1 ? Layout::planar : layout);
     if (around_mean) program.means = data_ptr<float>(means);
-#if defined(KV_CUDA)
-    KV_RUN(warp_and_color, image, p, y.numel(), 0);
-#else
-    int64_t const bands = y.numel() > 0 ? batch * bands_of(size.height, size.width) : 0;
-    KV_RUN(warp_and_color, image, p, bands, 6 * channels * kBandPixels);
-#endif
+    if (y.numel() == 0) return;
+    int64_t const bands = bands_of(size.height, size.width);  // of a sample, on the CPU
+    pass_images.list ? run_list(a.op, *pass_images.list, p, bands) : run_batch(image, p, bands);
   });
   return {y, means};
 }
 
 }  // namespace
 
-PassResults run_pass(Tensor const& image, OptionalTensor const& columns, OptionalTensor const& fill,
+PassResults run_pass(PassImages const& images, OptionalTensor const& columns, OptionalTensor const& fill,
                      OptionalTensor const& matrices, std::vector<int64_t> const& size, std::vector<int64_t> const& plan,
                      Numbers const& numbers) {
+  Tensor const& image = images.like;
+  KV_CHECK(!images.list || !size.empty(), "warp_and_color_list: expected a size of the results");
   WarpAndColorArguments const a("warp_and_color", image, columns, fill, matrices, size, plan, numbers);
   color::PlanArgument const& program = a.plan.program;
   bool const same = program.dtype < 0 && (program.layout < 0 || program.layout == int64_t(layout_of(image)));
-  if (a.matrix && same && !a.plan.has_steps()) return {a.sampled(image), a.matrix_tensor, {}};
+  if (a.matrix && same && !a.plan.has_steps()) return {a.sampled(images), a.matrix_tensor, {}};
   auto const arguments = a.program(image, color::result_type(program, image));
   bool const around_mean = arguments.sequence.contrast >= 0;
   if (a.matrix && a.is_joined(image, arguments)) {
-    auto const [y, means] = run_joined(a, image, arguments);
+    auto const [y, means] = run_joined(a, images, arguments);
     return {y, a.matrix_tensor, around_mean ? OptionalTensor(means) : OptionalTensor()};
   }
   bool const samples = a.matrix.has_value();
-  Tensor const x = samples ? a.sampled(image) : image;
+  Tensor const x = samples ? a.sampled(images) : image;
   auto const [y, means] = color::run_program(a.op, x, arguments, program, a.plan.numbers, samples);
   return {y, a.matrix_tensor, around_mean ? OptionalTensor(means) : OptionalTensor()};
 }
@@ -226,14 +255,25 @@ PassResults run_pass(Tensor const& image, OptionalTensor const& columns, Optiona
 namespace {
 
 // Missing matrices are (B, 0, 3), and missing means are (B, 0).
-std::tuple<Tensor, Tensor, Tensor> warp_and_color(Tensor const& image, OptionalTensor const& columns,
-                                                  OptionalTensor const& fill, std::vector<int64_t> const& size,
-                                                  std::vector<int64_t> const& plan, Numbers const& numbers) {
-  auto const [y, matrix, means] = run_pass(image, columns, fill, {}, size, plan, numbers);
+using Results = std::tuple<Tensor, Tensor, Tensor>;
+Results run_and_fill(PassImages const& images, OptionalTensor const& columns, OptionalTensor const& fill,
+                     std::vector<int64_t> const& size, std::vector<int64_t> const& plan, Numbers const& numbers) {
+  Tensor const& image = images.like;
+  auto const [y, matrix, means] = run_pass(images, columns, fill, {}, size, plan, numbers);
   auto const or_none = [&](OptionalTensor const& x, std::initializer_list<int64_t> none) {
     return x ? *x : empty(none, image, Layout::planar, compute_dtype(image));
   };
   return {y, or_none(matrix, {image.size(0), 0, 3}), or_none(means, {image.size(0), 0})};
+}
+
+Results warp_and_color(Tensor const& image, OptionalTensor const& columns, OptionalTensor const& fill,
+                       std::vector<int64_t> const& size, std::vector<int64_t> const& plan, Numbers const& numbers) {
+  return run_and_fill(image, columns, fill, size, plan, numbers);
+}
+Results warp_and_color_list(Tensors const& images, OptionalTensor const& columns, OptionalTensor const& fill,
+                            std::vector<int64_t> const& size, std::vector<int64_t> const& plan,
+                            Numbers const& numbers) {
+  return run_and_fill({"warp_and_color_list", images}, columns, fill, size, plan, numbers);
 }
 
 // The gradients of the image, of the columns that the program reads, and of the matrices. One that is not required has
@@ -294,6 +334,10 @@ std::tuple<Tensor, Tensor, Tensor> warp_and_color_backward(Tensor const& grad, T
 // matrices, and the means of contrast. warp_and_color.py explains size, plan and numbers.
 KV_OPERATOR(warp_and_color,
             "(Tensor image, Tensor? columns, Tensor? fill, SymInt[] size, int[] plan, float[] numbers) "
+            "-> (Tensor, Tensor, Tensor)")
+// The same of images (C, H, W) of different sizes, to which the warp gives one size.
+KV_OPERATOR(warp_and_color_list,
+            "(Tensor[] images, Tensor? columns, Tensor? fill, SymInt[] size, int[] plan, float[] numbers) "
             "-> (Tensor, Tensor, Tensor)")
 KV_OPERATOR(warp_and_color_backward,
             "(Tensor grad, Tensor image, Tensor? columns, Tensor? fill, Tensor matrix, Tensor means, SymInt[] size, "

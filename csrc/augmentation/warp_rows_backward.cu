@@ -8,7 +8,7 @@
 //
 // Coordinates are monotonic along an axis, so the rows (columns) that have a pixel as a tap are adjacent. Every pixel
 // is written once, without atomics: results have the same bits every run.
-#include "augmentation/row_taps.cuh"
+#include "augmentation/warp_blocks/row_taps.cuh"
 #include "augmentation/warp_rows_backward.h"
 
 namespace kv::augmentation::cuda {

@@ -43,6 +43,9 @@ class ListOperator:
         backward: `backward(needs, grads, images, *args)` returns the gradients of the images, a list or None, and those of the
             other tensors; `needs` tells which of these are wanted. Written with registered operators.
         nondeterministic: whether the kernel may give other bits on a second run, from the arguments.
+        supports: why the kernel does not serve these arguments, or None.
+        saves_results: `backward(needs, grads, results, images, *args)` takes the results, too.
+        non_differentiable: the numbers of results without gradients.
     """
 
     def __init__(
@@ -54,8 +57,12 @@ class ListOperator:
         fake: Callable[..., Results],
         backward: Callable[..., Sequence[Any]],
         nondeterministic: Callable[..., bool] = lambda *args: False,
+        supports: Callable[..., str | None] = lambda *args: None,
+        saves_results: bool = False,
+        non_differentiable: Sequence[int] = (),
     ) -> None:
-        self.name, self.of, self.reference = name, of, reference
+        self.name, self.of, self.reference, self._supports = name, of, reference, supports
+        self._saves_results, self._non_differentiable = saves_results, non_differentiable
         self._fake, self._backward, self._nondeterministic = fake, backward, nondeterministic
         self.unserved = unserved_devices(name)
         self.kernel: Any = None if "cpu" in self.unserved else find_operator("kvision", name).default
@@ -72,7 +79,7 @@ class ListOperator:
 
     def __call__(self, images: Sequence[Tensor], *args: Any) -> Results:
         x = images[0]
-        if x.device.type in self.unserved or not self.of.is_native(x):
+        if x.device.type in self.unserved or not self.of.is_native(x) or self._supports(images, *args) is not None:
             return self.reference(images, *args)
         if torch.are_deterministic_algorithms_enabled() and self._nondeterministic(images, *args):
             return self.reference(images, *args)
@@ -114,15 +121,19 @@ class ListOperator:
 
         def setup_context(ctx: Any, inputs: tuple[Any, ...], output: Any) -> None:
             ctx.count, end = inputs[0], 1 + inputs[0] + operator.tensors
-            ctx.save_for_backward(*inputs[1:end])
+            ctx.save_for_backward(*inputs[1:end], *(output if operator._saves_results else ()))
             ctx.plain = inputs[end:]
+            if operator._non_differentiable:
+                ctx.mark_non_differentiable(*[output[i] for i in operator._non_differentiable])
             ctx.backend = current_backend() if _backend.ask_backend else None
 
         def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
             count, saved = ctx.count, ctx.saved_tensors
+            end = count + operator.tensors
             needs = ctx.needs_input_grad[1:]
-            needed = (any(needs[:count]), *needs[count : count + operator.tensors])
-            args = (needed, grads, saved[:count], *saved[count:], *ctx.plain)
+            needed = (any(needs[:count]), *needs[count:end])
+            results = (saved[end:],) if operator._saves_results else ()
+            args = (needed, grads, *results, saved[:count], *saved[count:end], *ctx.plain)
             if ctx.backend is None and not _backend.ask_backend:
                 of_images, *others = operator._backward(*args)
             else:

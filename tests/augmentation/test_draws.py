@@ -57,8 +57,9 @@ def drawn(requests: list[Request], batch: int, device: torch.device, keys: Tenso
     return draw_parameters(images(batch, device), keys, seeds, plan.plan, plan.numbers)
 
 
-def _of_each(plan: list[int], numbers: list[float]):
-    return lambda batch: (plan, [*numbers] * batch)
+def _of_each(plan: list[int], numbers: list[float], first: Request):
+    own = [n for draw in first.draws for n in draw.numbers]
+    return lambda batch: (plan, numbers, own * batch)
 
 
 class TestDrawParameters(PointOpTests):
@@ -71,38 +72,42 @@ class TestDrawParameters(PointOpTests):
             Call((vector(2, 3), KEYS, None), rounded[:2], per_sample=False, **common),
             Call((vector(2, 3), KEYS[:1], lambda: torch.randint(-(2**63), 2**63 - 1, ())), seeded[:2], **common),
         ],
-        "draw_list_parameters": [Call((vector(2, 3), KEYS, None), _of_each(*exact[:2]), per_sample=False, **common)],
+        "draw_list_parameters": [
+            Call((vector(2, 3), KEYS, None), _of_each(*exact[:2], EXACT[0]), per_sample=False, **common)
+        ],
     }
 
 
 @pytest.mark.parametrize("seeds", [None, "seeds"])
 def test_numbers_of_each_sample(device, backend, seeds):
-    """Each row is that of a batch whose images are all of this size. 600 samples take two launches of the kernel."""
+    """Each row is that of a batch whose images are all of this size. 600 samples take several launches of the kernel."""
     batch = 12 if backend == "reference" else 600
     sizes = [(40 + b % 3, 300 - b % 4) for b in range(batch)]
     seeds = None if seeds is None else torch.arange(batch, device=device) * 7919 - 5
     plans = {}
     for size in set(sizes):
         crops = [Draw(draw.kind, (*draw.numbers[:4], *size)) for draw in (CROP, RECTANGLE)]
-        plans[size] = make_plan([Request([uniform(0, 1), *crops, integer(0, size[0])], 0.9)], seeds is not None)
-    numbers = [n for size in sizes for n in plans[size].numbers]
-    x, plan = images(batch, device), plans[sizes[0]].plan
-    result = draw_list_parameters(x, KEYS[:1], seeds, plan, numbers)
+        requests = [Request([uniform(0, 1), *crops, integer(0, size[0])], 0.9), Request([CROP])]
+        plans[size] = make_plan(requests, seeds is not None)
+    end = 2 + sum(len(draw.numbers) for draw in requests[0].draws)
+    listed = [n for size in sizes for n in plans[size].numbers[2:end]]
+    x, (plan, numbers, _) = images(batch, device), plans[sizes[0]]
+    result = draw_list_parameters(x, KEYS[:2], seeds, plan, numbers, listed)
     for size, of_size in plans.items():
         of_this = torch.tensor([s == size for s in sizes], device=device)
-        expected = draw_parameters(x, KEYS[:1], seeds, of_size.plan, of_size.numbers)
+        expected = draw_parameters(x, KEYS[:2], seeds, of_size.plan, of_size.numbers)
         assert torch.equal(result[of_this], expected[of_this])
-    assert draw_list_parameters(x[:0], KEYS[:1], None, plan, []).shape == (0, plan[0])
+    assert draw_list_parameters(x[:0], KEYS[:2], None, plan, numbers, []).shape == (0, plan[0])
 
 
 def test_bad_numbers_of_samples(device, backend):
     if backend == "reference":
         pytest.skip("plans are made by the library; the kernel reads them")
     plan = make_plan([Request([Draw("permutation", (3, 0, 1))])])
-    with pytest.raises(RuntimeError, match="expected as many numbers for each of 2 images, got 9"):
-        draw_list_parameters(images(2, device), KEYS[:1], None, plan.plan, [*plan.numbers, *plan.numbers[:4]])
+    with pytest.raises(RuntimeError, match="expected 3 numbers for each of 2 images, got 5"):
+        draw_list_parameters(images(2, device), KEYS[:1], None, *plan[:2], [3, 0, 1, 3, 0])
     with pytest.raises(RuntimeError, match="expected permutations of 3 entries, got 4"):
-        draw_list_parameters(images(2, device), KEYS[:1], None, plan.plan, [*plan.numbers, 1, 1, 4, 0, 1])
+        draw_list_parameters(images(2, device), KEYS[:1], None, *plan[:2], [3, 0, 1, 4, 0, 1])
 
 
 # --- what the parameters depend on ---

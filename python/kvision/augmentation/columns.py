@@ -9,7 +9,15 @@ import torch
 from torch import Tensor
 
 from kvision._torch_compat import in_function_transform
-from kvision.augmentation.draws import MAX_DRAWS, MAX_NUMBERS, Draw, Request, draw_parameters, make_plan
+from kvision.augmentation.draws import (
+    MAX_DRAWS,
+    MAX_NUMBERS,
+    Draw,
+    Request,
+    draw_list_parameters,
+    draw_parameters,
+    make_plan,
+)
 from kvision.augmentation.keys import Keys, refuse_transformed_graphs
 from kvision.augmentation.ranges import LearnedPair, LearnedUniform
 from kvision.core.exceptions import ValueCheckError
@@ -122,6 +130,14 @@ class DrawPlan(NamedTuple):
             images = images.detach()
         drawn: Tensor = draw_parameters(images, own, seeds, self.plan, self.numbers)
         return drawn if self.learned is None else _with_learned(drawn, self.learned)
+
+    def draw_list(self, images: Tensor, keys: Keys, numbers: Sequence[float]) -> Tensor:
+        """The same with other numbers for each image of the draws of the first request, if there are any."""
+        if not numbers:
+            return self.draw(images, keys)
+        own, seeds = self.keys_of(keys), keys.seeds_on(images.device)
+        drawn: Tensor = draw_list_parameters(images, own, seeds, self.plan, self.numbers, numbers)
+        return drawn
 
     def keys_of(self, keys: Keys) -> Tensor:
         """Those of the keys of a call that belong to the requests of this plan."""

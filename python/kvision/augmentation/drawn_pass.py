@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import torch
-from torch import Tensor
+from torch import Tensor, is_grad_enabled
 
 from kvision._hints import look_at_range
 from kvision._ops import FastPath
+from kvision._torch_compat import in_forward_ad
 from kvision.augmentation.columns import DrawPlan
 from kvision.augmentation.keys import Keys
 from kvision.augmentation.warp_and_color import Pass
@@ -19,6 +21,7 @@ from kvision.enhance.posterize import SPLIT
 COMPUTED_IN_FLOAT32 = (torch.float32, torch.float16, torch.bfloat16, torch.uint8)
 
 _draw_warp_and_color = FastPath("draw_warp_and_color", COMPUTED_IN_FLOAT32)
+_draw_list_warp_and_color = FastPath("draw_list_warp_and_color", COMPUTED_IN_FLOAT32)
 
 
 class DrawnPass:
@@ -44,16 +47,26 @@ class DrawnPass:
     def run(self, x: Tensor, keys: Keys) -> tuple[Tensor, Tensor, Tensor]:
         """The result, the matrices (B, 3, 3) of the warp, which do not carry gradients, and the columns."""
         if self.has_kernel and _draw_warp_and_color.serves(x):
-            if self._plan is None:
-                self._plan = self._packed()
-                if self.image_pass.clamps:
-                    look_at_range(x)
-            y, matrix, columns = _draw_warp_and_color.kernel(
-                x, self.draws.keys_of(keys), keys.seeds_on(x.device), *self._plan
-            )
-            return y, matrix, columns
+            return self._call(_draw_warp_and_color.kernel, x, x, keys)
         columns = self.draws.draw(x, keys)
         y, matrix = self.image_pass.run(x, columns)
+        return y, matrix, columns
+
+    def run_list(self, images: list[Tensor], keys: Keys) -> tuple[Tensor, Tensor, Tensor] | None:
+        """The same of images (C, H, W) of different sizes, of which the first draws are; None where no kernel does it all."""
+        x = images[0]
+        if not self.has_kernel or not _draw_list_warp_and_color.serves(x) or in_forward_ad():
+            return None
+        if is_grad_enabled() and any([image.requires_grad for image in images]):
+            return None
+        return self._call(_draw_list_warp_and_color.kernel, images, x, keys)
+
+    def _call(self, kernel: Any, images: Any, x: Tensor, keys: Keys) -> tuple[Tensor, Tensor, Tensor]:
+        if self._plan is None:
+            self._plan = self._packed()
+            if self.image_pass.clamps:
+                look_at_range(x)
+        y, matrix, columns = kernel(images, self.draws.keys_of(keys), keys.seeds_on(x.device), *self._plan)
         return y, matrix, columns
 
     def draw(self, x: Tensor, keys: Keys) -> tuple[Tensor, tuple[Tensor, Tensor], None]:

@@ -373,21 +373,26 @@ _VALUES: dict[str, Callable[[_Words, Sequence[float]], _Columns]] = {
 
 
 def _list_reference(
-    images: Tensor, keys: Tensor, seeds: Tensor | None, plan: Sequence[int], numbers: Sequence[float]
+    images: Tensor,
+    keys: Tensor,
+    seeds: Tensor | None,
+    plan: Sequence[int],
+    numbers: Sequence[float],
+    listed: Sequence[float],
 ) -> Tensor:
     batch = images.shape[0]
-    width = len(numbers) // max(batch, 1)
-    each = [numbers[b * width : (b + 1) * width] for b in range(batch)]
+    width = len(listed) // max(batch, 1)
+    each = [[*numbers[:2], *listed[b * width : (b + 1) * width], *numbers[2 + width :]] for b in range(batch)]
     rows = [_reference(images, keys, seeds, plan, own)[b] for b, own in enumerate(each)]
     return torch.stack(rows) if rows else images.new_empty(0, plan[0], dtype=torch.float32)
 
 
 _OPTIONS: dict[str, Any] = {
-    "fake": lambda images, keys, seeds, plan, numbers: images.new_empty(images.shape[0], plan[0], dtype=torch.float32),
+    "fake": lambda images, keys, seeds, plan, *_: images.new_empty(images.shape[0], plan[0], dtype=torch.float32),
     "non_differentiable": (0,),
     "bytes": True,
     "casts_outputs": True,
 }
 draw_parameters = register("draw_parameters", _reference, flatten=flatten_draws(keys=1), **_OPTIONS)
-# With other numbers for each image: those of the first one, of the second, ...
+# The draws of the first request with other numbers for each image: `listed` has those of the first one, of the second, ...
 draw_list_parameters = register("draw_list_parameters", _list_reference, **_OPTIONS)

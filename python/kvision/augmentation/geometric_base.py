@@ -170,8 +170,6 @@ class GeometricAugmentationBase2D(GeometricAugmentation, RigidAffineAugmentation
     def _warp_list(self, images: list[Tensor], matrix: Tensor, size: Sequence[int], flags: dict[str, Any]) -> Tensor:
         """The batch that a list of images becomes."""
         resampling = self.resampling(flags)
-        if resampling.antialias:
-            return torch.cat([warp(x[None], m, size, resampling) for x, m in zip(images, matrix.split(1))])
         fill = fill_of_images(images[0], resampling.fill)
         return warp_each(images, matrix, size, resampling._replace(fill=fill))[0]
 

@@ -68,7 +68,9 @@ def is_image_list(module: Any, input: Any) -> bool:
     """Whether an input is a list of images (C, H, W), for a container that takes them."""
     if not isinstance(input, list) or not getattr(module, "takes_lists", False):
         return False
-    return len(input) > 0 and all((type(x) is Tensor or isinstance(x, Tensor)) and x.dim() == 3 for x in input)
+    if not input or ({*map(type, input)} != {Tensor} and not all(isinstance(x, Tensor) for x in input)):
+        return False
+    return {x.ndim for x in input} == {3}
 
 
 def check_image(module: Any, x: Any) -> None:

@@ -22,6 +22,7 @@ from kvision.geometry.transform import sampling
 from kvision.geometry.transform.antialiased.warp_antialiased import remap_antialiased, warp_antialiased
 from kvision.geometry.transform.composed.composed_warp import composed_coords, composed_warp, link_arguments
 from kvision.geometry.transform.lists.arguments import like_batch
+from kvision.geometry.transform.lists.resize_windows_list import resize_windows_list
 from kvision.geometry.transform.lists.warp_list import warp_list
 from kvision.geometry.transform.resize_windows import resized_windows
 
@@ -243,6 +244,8 @@ def warp_each(
 ) -> Sequence[Tensor]:
     """`warp` of a list of images (C, H, W): one tensor (B, C, h, w), or, with the size of each, one of each image."""
     like = like_batch(images)
+    matrix, mode = matrix.to(like.device, compute_dtype(like)), INTERPOLATION[resampling.mode]
+    if resampling.antialias:
+        return resize_windows_list(images, matrix, list(size), mode, resampling.align_corners)
     padding, fill = sampling.padding_and_fill("augmentation", like, resampling.padding, resampling.fill)
-    options = (INTERPOLATION[resampling.mode], padding, resampling.align_corners, inverse, False)
-    return warp_list(images, matrix.to(like.device, compute_dtype(like)), fill, list(size), *options)
+    return warp_list(images, matrix, fill, list(size), mode, padding, resampling.align_corners, inverse, False)

@@ -53,6 +53,12 @@ class _Plan(NamedTuple):
         """The plan of the color program by itself."""
         return [self.dtype, self.layout, len(self.steps), *self.steps, *self.columns]
 
+    @property
+    def plan_of_steps(self) -> list[int]:
+        """The plan of a pass without the warp."""
+        head = [self.dtype, self.layout, 0, 0, 0, 0, 0]
+        return [*head, len(self.steps), *self.steps, len(self.columns), *self.columns, *self.order]
+
 
 def _parse(plan: Sequence[int], numbers: Sequence[float]) -> _Plan:
     dtype, layout, interpolation, padding, align_corners, antialias, *rest = plan
@@ -418,6 +424,11 @@ class Pass(NamedTuple):
         if x.dim() == 5:  # a volume, whose slices are those of one high image
             y, matrix = self.run(x.flatten(2, 3), columns)
             return y.unflatten(2, x.shape[2:4]), matrix
+        y, matrix, _ = warp_and_color(x, *self.arguments(x, columns))
+        return y, matrix
+
+    def arguments(self, x: Tensor, columns: Tensor | None) -> tuple[Any, ...]:
+        """The arguments of the operator behind images (B, C, H, W), of which the size does not count."""
         fill = None
         if self.resampling is not None:
             value = fill_of_images(x, self.resampling.fill)
@@ -427,8 +438,7 @@ class Pass(NamedTuple):
             columns = columns.to(dtype)
         if self.chain:
             columns = transforms.transform_matrix(_columns_of(x, columns), self.chain).flatten(1)
-        y, matrix, _ = warp_and_color(x, columns, fill, self.size, self.plan, self._numbers_for(x))
-        return y, matrix
+        return columns, fill, self.size, self.plan, self._numbers_for(x)
 
     def _numbers_for(self, x: Tensor) -> list[float]:
         if not self.splits or x.dtype not in SPLIT:

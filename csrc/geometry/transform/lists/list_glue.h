@@ -40,20 +40,54 @@ struct BatchOrList {
   }
 };
 
-// One result (B, C, h, w), of one size; or a list of results (C, h, w), of a size each or if `as_list`. `like` is a
-// batch.
+// A batch (B, C, H, W), or images (C, H, W), of which those are copied that have not the layout.
+inline Tensors in_layout(Tensors const& inputs, Layout layout) {
+  Tensors readable;
+  readable.reserve(inputs.size());
+  for (Tensor const& x : inputs) {
+    int64_t const c = x.dim() - 3, w = x.dim() - 1, channels = x.size(c);
+    bool const fits = layout == Layout::channels_last ? x.stride(c) == 1 && (x.stride(w) == channels || x.size(w) == 1)
+                                                      : x.stride(w) == 1 || x.size(w) == 1;
+    if (fits) {
+      readable.push_back(x);
+    } else if (x.dim() == 4) {
+      readable.push_back(as_layout(x, layout));
+    } else {
+      Tensor const copy = as_layout(as_batch(x), layout);
+      readable.push_back(
+          view_of(copy, {channels, copy.size(2), copy.size(3)}, {copy.stride(1), copy.stride(2), copy.stride(3)}));
+    }
+  }
+  return readable;
+}
+
+// Where results (C, h, w) of a size each begin in one block of memory, in elements: at vectors. The last entry is its
+// length.
+inline std::vector<int64_t> offsets_in_block(int64_t channels, ListSizes const& sizes, size_t count) {
+  std::vector<int64_t> offsets(count + 1);
+  for (size_t b = 0; b < count; ++b)
+    offsets[b + 1] = offsets[b] + ceil_div(channels * sizes[b].height * sizes[b].width, 16) * 16;
+  return offsets;
+}
+
+// One result (B, C, h, w), of one size; or a list of results (C, h, w), of a size each. Those of gradients share a
+// block of memory, because an allocation costs the host more than a view. `like` is a batch.
 inline Tensors empty_results(Tensor const& like, ListSizes const& sizes, size_t count, Layout layout,
-                             bool as_list = false) {
+                             bool are_gradients = false) {
   int64_t const channels = like.size(1);
-  if (sizes.is_one() && !as_list)
+  if (sizes.is_one() && !are_gradients)
     return {empty({int64_t(count), channels, sizes[0].height, sizes[0].width}, like, layout)};
   Tensors results;
   results.reserve(count);
+  std::vector<int64_t> offsets;
+  if (are_gradients) offsets = offsets_in_block(channels, sizes, count);
+  Tensor const block = are_gradients ? empty({offsets[count]}, like) : Tensor();
   for (size_t b = 0; b < count; ++b) {
     int64_t const h = sizes[b].height, w = sizes[b].width;
-    Tensor const y = empty({1, channels, h, w}, like, layout);
-    results.push_back(layout == Layout::planar ? view_of(y, {channels, h, w}, 0)
-                                               : view_of(y, {channels, h, w}, {1, w * channels, channels}));
+    int64_t const planar[] = {h * w, w, 1}, interleaved[] = {1, w * channels, channels};
+    int64_t const* const strides = layout == Layout::planar ? planar : interleaved;
+    Tensor const memory = are_gradients ? block : empty({channels * h * w}, like);
+    results.push_back(view_of(memory, {channels, h, w}, strides, are_gradients ? offsets[b] : 0));
   }
   return results;
 }

@@ -30,12 +30,12 @@ KV_HD Planes<T> planes_of(Images<T> const& x, bool interleaved) {
 KV_KERNEL(resize_list, ResizeList)
 
 // An item is some rows of a plane or of interleaved pixels on the CPU, where rows of all planes follow each other; on
-// CUDA a block of so many elements.
-constexpr int kItemElements = 256;
+// CUDA so many elements of so many rows, in all planes.
+constexpr int kItemColumns = 128, kItemRows = 16;
 KV_HD int64_t rows_of_resize_item(int64_t row_size) { return max(int64_t(1), kItemPixels / row_size); }
 inline int64_t items_of_resize(int64_t channels, bool interleaved, int64_t height, int64_t width) {
 #if defined(KV_CUDA)
-  return ceil_div(channels * height * width, kItemElements);
+  return ceil_div(width * (interleaved ? channels : 1), kItemColumns) * ceil_div(height, kItemRows);
 #else
   int64_t const row_size = width * (interleaved ? channels : 1), rows = height * (interleaved ? 1 : channels);
   return ceil_div(rows, rows_of_resize_item(row_size));

@@ -23,22 +23,7 @@ Tensors resized_list(char const* op, Tensors const& inputs, std::vector<int64_t>
   Tensors const results = empty_results(like, sizes, count, layout, backward);
   if (channels == 0) return results;
 
-  // What has not the layout of the results is copied.
-  Tensors readable;
-  readable.reserve(inputs.size());
-  for (Tensor const& x : inputs) {
-    int64_t const c = x.dim() - 3, w = x.dim() - 1;
-    bool const fits = interleaved ? x.stride(c) == 1 && (x.stride(w) == channels || x.size(w) == 1)
-                                  : x.stride(w) == 1 || x.size(w) == 1;
-    if (fits) {
-      readable.push_back(x);
-      continue;
-    }
-    Tensor const copy = as_layout(is_batch ? x : as_batch(x), layout);
-    readable.push_back(is_batch ? copy
-                                : view_of(copy, {channels, copy.size(2), copy.size(3)},
-                                          {copy.stride(1), copy.stride(2), copy.stride(3)}));
-  }
+  Tensors const readable = in_layout(inputs, layout);
   BatchOrList const from(readable), to(results);
   auto const run = [&]<class T>(Type<T>) {
     ResizeList<T> p{{}, int(channels), ResizeFilter(filter), align_corners, antialias, backward};

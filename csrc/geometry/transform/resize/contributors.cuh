@@ -1,5 +1,5 @@
 // The contributors of an element and their weights on CUDA, for tables and for kernels of any type and size. Included
-// by resize.cu and resize_windows.cu.
+// by resize.cu, resize_windows.cuh and lists/resize_list.cu.
 #pragma once
 
 #include "geometry/transform/resize/resize.h"

@@ -6,7 +6,7 @@ draw what a batch draws.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -15,8 +15,8 @@ from torch import Tensor
 
 from kvision._dtype import compute_dtype
 from kvision.augmentation import labels
-from kvision.augmentation.columns import Columns, Span, split_inputs
-from kvision.augmentation.draws import KINDS, SIZED, Request, draw_list_parameters, draw_parameters
+from kvision.augmentation.columns import Column, Columns, Span
+from kvision.augmentation.draws import SIZED, Request, draw_list_parameters, make_plan
 from kvision.augmentation.engine.call_labels import CallLabels
 from kvision.augmentation.engine.execution import Execution, matrix_type
 from kvision.augmentation.engine.list_calls import SIZES
@@ -24,8 +24,7 @@ from kvision.augmentation.engine.record import Child
 from kvision.augmentation.engine.stages import MaskReading, Warp
 from kvision.augmentation.keys import Keys
 from kvision.augmentation.maps import exact, warp_each
-from kvision.augmentation.transforms import KINDS as TRANSFORMS
-from kvision.augmentation.transforms import Transform, _transform_matrix
+from kvision.augmentation.transforms import Transform, transform_matrix
 from kvision.core.exceptions import ShapeError
 from kvision.geometry.transform.lists.arguments import like_batch
 
@@ -136,11 +135,13 @@ class ListExecution(Execution):
     """The call of the first augmentation on a list; its parameters are read from the device when they are asked for."""
 
     is_of_list = True
+    _matrix: Tensor | None = None
+    _find_matrix: Callable[[], Tensor] | None = None
 
-    def __init__(self, shapes: Sequence[tuple[int, ...]], sizes: Sequence[int], module: Any, values: Tensor) -> None:
+    def __init__(self, count: tuple[int, int], sizes: Sequence[int], module: Any, values: Tensor) -> None:
         self._sizes, self._module, self._values = sizes, module, values
         self._named: dict[str, Any] | None = None
-        super().__init__((*shapes[0][:2], max(sizes[::2]), max(sizes[1::2])))
+        super().__init__((*count, max(sizes[::2]), max(sizes[1::2])))
 
     @property
     def params(self) -> Any:
@@ -160,6 +161,112 @@ class ListExecution(Execution):
     def params(self, params: Any) -> None:
         self._named = params
 
+    @property
+    def matrix(self) -> Tensor | None:
+        """Computed when it is asked for."""
+        if self._matrix is None and self._find_matrix is not None:
+            self._matrix = self._find_matrix()
+        return self._matrix
+
+    @matrix.setter
+    def matrix(self, matrix: Tensor | None) -> None:
+        self._matrix = matrix
+
+
+class ListImages:
+    """The images of a call, for the augmentation that makes them a batch."""
+
+    def __init__(self, images: Sequence[Tensor], module: Any) -> None:
+        plan = list_plan(module)
+        assert plan is not None
+        self.plan, self.module = plan, module
+        self.sizes = [x.shape for x in images]
+        self.sides = [side for _, h, w in self.sizes for side in (h, w)]
+
+    @property
+    def shapes(self) -> list[tuple[int, ...]]:
+        """(B, C, H, W) with the size of each image."""
+        return [(len(self.sizes), *size) for size in self.sizes]
+
+    @property
+    def only_windows_differ(self) -> bool:
+        """Whether draws and matrix have nothing of an image but its size, where windows of it are drawn."""
+        return self.plan.numbers is not None and self.plan.chain is not None
+
+    def numbers_of_draws(self) -> list[float]:
+        """Those of each image, behind the probabilities of the augmentation."""
+        numbers: list[float] = []
+        for shape in self.shapes:
+            if self.plan.numbers is None:
+                numbers += _numbers(self.module._request(shape))[2:]
+                continue
+            first = len(numbers) - 2
+            numbers += self.plan.numbers[2:]
+            for at in self.plan.sizes_at:
+                numbers[first + at : first + at + 2] = shape[2:]
+        return numbers
+
+    def with_sizes(self, columns: Tensor | None, like: Tensor) -> Tensor | None:
+        """Columns (B, P), and behind them what :func:`chain_of_list` reads."""
+        if self.plan.chain is not None:
+            return columns
+        flags = self.module.flags
+        rows = [_numbers_in(self.module.matrix_transforms(shape, flags)) for shape in self.shapes]
+        own = torch.tensor(rows, dtype=compute_dtype(like), device="cpu").to(like.device, non_blocking=True)
+        return own if columns is None else torch.cat([columns.to(own.dtype), own], 1)
+
+    def matrix(self, columns: Tensor, span: Span) -> Tensor:
+        """The matrices (B, 3, 3) of the augmentation, from the columns that it has drawn."""
+        values = columns if span.width == columns.shape[1] else columns[:, span.first : span.first + span.width]
+        chain = chain_of_list(self.module, Span(0, span.width, span.has_chosen), values.shape[1])
+        if chain is None:
+            assert self.plan.chain is not None
+            chain = self.module._bound(self.plan.chain, Span(0, span.width, span.has_chosen))
+        with_sizes = self.with_sizes(values, values)
+        assert with_sizes is not None
+        return transform_matrix(with_sizes, chain)
+
+    def execution(
+        self,
+        columns: Tensor,
+        span: Span,
+        type_of_matrix: tuple[torch.device, torch.dtype],
+        matrix: Tensor | None = None,
+    ) -> ListExecution:
+        """The record of the call; its matrices are computed when they are asked for, if they are not given."""
+        execution = ListExecution(
+            (len(self.sizes), self.sizes[0][0]), self.sides, self.module, Columns(columns, span).values
+        )
+        execution.columns, execution.is_certain, execution.identity = Columns(columns, span), True, type_of_matrix
+        if matrix is None:
+            values = columns.to(type_of_matrix[1])
+            execution._find_matrix = lambda: self.matrix(values, span)
+        execution.matrix = matrix
+        return execution
+
+
+def _numbers_in(chain: Sequence[Transform]) -> list[float]:
+    """The inputs of transforms that are no columns."""
+    return [x for transform in chain for x in transform.inputs if isinstance(x, (int, float))]
+
+
+def chain_of_list(module: Any, span: Span | None, columns: int) -> list[Transform] | None:
+    """The chain of an augmentation with columns behind `columns` others in place of its numbers, where these depend on the size of
+    the image; None where none does.
+    """
+    plan = list_plan(module)
+    assert plan is not None
+    if plan.chain is not None:
+        return None
+    chain = []
+    for transform in module._bound(module.matrix_transforms((1, 3, *SIZES[0]), module.flags), span):
+        inputs: list[Column] = []
+        for x in transform.inputs:
+            inputs.append(x if isinstance(x, Column) else Column(columns))
+            columns += not isinstance(x, Column)
+        chain.append(Transform(transform.kind, *inputs))
+    return chain
+
 
 def execute_list(
     images: Sequence[Tensor],
@@ -170,55 +277,30 @@ def execute_list(
     call_labels: CallLabels | None = None,
 ) -> tuple[Tensor, ListWarp]:
     """The batch that the first augmentation makes of a list, and what labels have to follow."""
-    own, flags, like = list_plan(module), module.flags, like_batch(images)
-    assert own is not None
-    shapes = [(len(images), *x.shape) for x in images]
+    own, flags, like = ListImages(images, module), module.flags, like_batch(images)
     span = Span(0, 0, False)
     values = torch.empty(len(images), 0, device=like.device)
     generator = module._param_generator
     if child.params is not None and generator is not None:
-        values = generator.to_columns(child.params, shapes[0]).to(like.device)
+        values = generator.to_columns(child.params, own.shapes[0]).to(like.device)
     elif keys is not None:
-        values = _draw(like, module, own, shapes, keys, position)
+        request = module._request(own.shapes[0])
+        draws, _, _ = make_plan([request], keys.has_seed, position)
+        numbers = _numbers(request)
+        values = draw_list_parameters(
+            like, keys.keys, keys.seeds_on(like.device), draws, numbers, own.numbers_of_draws()
+        )
         if module._derives:
             values = _derived(module, values, images, call_labels)
     if values.shape[1]:
         span = Span(0, values.shape[1], False)
     values = values.to(compute_dtype(like))
-    chains = [own.chain] if own.chain is not None else [module.matrix_transforms(shape, flags) for shape in shapes]
-    matrix = _matrix(values, [module._bound(chain, span) for chain in chains])
-    batch = module._warp_list(list(images), matrix, list(own.size), flags)
-    sides = [n for shape in shapes for n in shape[2:]]
-    execution = ListExecution(shapes, sides, module, values)
-    execution.columns, execution.matrix, execution.is_certain = Columns(values, span), matrix, True
-    execution.identity = matrix_type(like)
+    matrix = own.matrix(values, span)
+    size = list(own.plan.size)
+    batch = module._warp_list(list(images), matrix, size, flags)
+    execution = own.execution(values, span, matrix_type(like), matrix)
     child.record = module.__dict__["_execution"] = execution
-    return batch, ListWarp(matrix, sides, list(own.size), module.resampling(flags))
-
-
-def _draw(
-    like: Tensor, module: Any, own: ListPlan, shapes: Sequence[Sequence[int]], keys: Keys, position: int
-) -> Tensor:
-    """The columns (B, P) of one augmentation, for the size of each image."""
-    request = module._request(shapes[0])
-    width = sum(draw.columns for draw in request.draws)
-    head = (0, position if keys.has_seed else 0, int(request.same_on_batch), 1, len(request.draws))
-    plan = [width, *head, *(KINDS[draw.kind].number for draw in request.draws)]
-    seeds = keys.seeds_on(like.device)
-    if own.numbers is not None and not own.sizes_at:
-        drawn: Tensor = draw_parameters(like, keys.keys, seeds, plan, own.numbers)
-        return drawn
-    numbers: list[float] = []
-    for shape in shapes:
-        if own.numbers is None:
-            numbers += _numbers(module._request(shape))
-            continue
-        first = len(numbers)
-        numbers += own.numbers
-        for at in own.sizes_at:
-            numbers[first + at : first + at + 2] = shape[2:]
-    drawn = draw_list_parameters(like, keys.keys, seeds, plan, numbers)
-    return drawn
+    return batch, ListWarp(matrix, own.sides, size, module.resampling(flags))
 
 
 def _derived(module: Any, drawn: Tensor, images: Sequence[Tensor], call_labels: CallLabels | None) -> Tensor:
@@ -237,33 +319,6 @@ def _derived(module: Any, drawn: Tensor, images: Sequence[Tensor], call_labels: 
         ]
         rows.append(module._derived(Columns(drawn[b : b + 1], span), hw[b : b + 1], masks).drawn)
     return torch.cat(rows)
-
-
-def _matrix(values: Tensor, chains: Sequence[Sequence[Transform]]) -> Tensor:
-    """The matrices (B, 3, 3) of one chain, or of one of the same kinds for each sample, from columns (B, P).
-
-    Numbers that differ become columns.
-    """
-    plans = []
-    for chain in chains:
-        inputs = [split_inputs(transform.inputs) for transform in chain]
-        plans.append(([n for numbers, _ in inputs for n in numbers], [columns for _, columns in inputs]))
-    numbers, columns = plans[0]
-    differ = any(own != numbers for own, _ in plans)
-    if differ:
-        own = torch.tensor([row for row, _ in plans], dtype=values.dtype, device="cpu").to(
-            values.device, non_blocking=True
-        )
-        at = values.shape[1]
-        values = torch.cat([values, own], 1)
-    plan: list[int] = []
-    for transform, of_transform in zip(chains[0], columns):
-        if differ:
-            of_transform = [at + i if column < 0 else column for i, column in enumerate(of_transform)]
-            at += len(of_transform)
-        plan += [TRANSFORMS[transform.kind][0], *of_transform]
-    matrix: Tensor = _transform_matrix(values, plan, numbers)
-    return matrix
 
 
 def _as_list(results: Sequence[Tensor]) -> list[Tensor]:

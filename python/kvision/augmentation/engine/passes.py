@@ -155,12 +155,14 @@ def plan_steps(
     once: bool,
     dtype: torch.dtype,
     output: Output,
+    first_chain: Sequence[Transform] | None = None,
 ) -> list[Step]:
     """What is executed for these executions, of whose columns only the spans count, on images of a type.
 
-    `once`: neighboring geometric augmentations are resampled once. `output` is the type and layout of the result.
+    `once`: neighboring geometric augmentations are resampled once. `output` is the type and layout of the result. `first_chain`
+    replaces that of the first augmentation, bound to its columns.
     """
-    planner = _Planner(once, dtype)
+    planner = _Planner(once, dtype, first_chain)
     for number, (module, execution) in enumerate(zip(modules, executions)):
         planner.add(number, module, execution)
     return planner.finish(output)
@@ -178,8 +180,8 @@ class _Geometric(NamedTuple):
 class _Planner:
     """Neighboring augmentations that wait to be joined in one pass, and the steps before them."""
 
-    def __init__(self, once: bool, dtype: torch.dtype) -> None:
-        self.once = once
+    def __init__(self, once: bool, dtype: torch.dtype, first_chain: Sequence[Transform] | None) -> None:
+        self.once, self.first_chain = once, first_chain
         self.dtype = dtype  # of the images that come next
         self.converted: torch.dtype | None = None  # of the result of the pending color steps, if it is another one
         self.steps: list[Step] = []
@@ -201,7 +203,8 @@ class _Planner:
         if colors is not None and has_columns:
             self._add_colors(module._color_part(colors, span), result)
         elif motion is not None and (motion.is_map or has_columns) and (self.once or motion.reads_by_matrix):
-            chain = module._bound(motion.chain or (), span)
+            chain = self.first_chain if number == 0 else None
+            chain = module._bound(motion.chain or (), span) if chain is None else chain
             self._add_motion(_Geometric(number, motion, chain, (shape[-2], shape[-1])))
         else:
             self._flush()

@@ -34,16 +34,15 @@ from kvision.augmentation.engine.call_labels import CallLabels
 from kvision.augmentation.engine.configuration import Plans
 from kvision.augmentation.engine.declaration import size_of
 from kvision.augmentation.engine.execution import Execution, Shape, matrix_type
-from kvision.augmentation.engine.lists import execute_list
-from kvision.augmentation.engine.passes import Planned, Running, Step, plan_steps
+from kvision.augmentation.engine.list_calls import SIZES
+from kvision.augmentation.engine.lists import ListImages, ListWarp, chain_of_list, execute_list
+from kvision.augmentation.engine.passes import Joined, Planned, Running, Step, plan_steps
 from kvision.augmentation.engine.record import Child
 from kvision.augmentation.engine.stages import Applied, Chain, Stage
 from kvision.augmentation.keys import Keys, Seed, check_seeds, draw_keys, frame_seeds
-from kvision.augmentation.warp_and_color import (
-    SAME,
-    Output,
-    make_pass,
-)
+from kvision.augmentation.warp_and_color import SAME, Output, make_pass
+from kvision.augmentation.warp_and_color_list import warp_and_color_list
+from kvision.geometry.transform.lists.arguments import like_batch
 
 
 class CallContext(NamedTuple):
@@ -97,9 +96,11 @@ def execute(
     """
     position = context.position if position is None else position
     if isinstance(x, list):
-        x, first, drawn = _execute_list(x, children, context, position)
-        x, rest = execute(x, children[1:], _after([first], context), position + drawn, 1 - drawn)
-        return x, Chain([first, *rest])
+        x, first, ran, drawn = _execute_list(x, children, context, position)
+        if ran == len(children):  # and has given the result its type and layout
+            return x, Chain(first)
+        x, rest = execute(x, children[ran:], _after(first, context), position + drawn, ran - drawn)
+        return x, Chain([*first, *rest])
     key = _key(x, children, context, position)
     plan: _RunPlan | None = context.plans.get(key)
     if plan is not None:
@@ -128,16 +129,87 @@ def execute(
 
 def _execute_list(
     images: list[Tensor], children: Sequence[Child], context: CallContext, position: int
-) -> tuple[Tensor, Stage, int]:
-    """The first child on a list of images, which it makes a batch; whether it has drawn, too."""
+) -> tuple[Tensor, list[Stage], int, int]:
+    """The first children on a list of images, of which the first one makes it a batch: the result, the stages, how many they
+    are, and how many positions in the chain of draws they take.
+    """
     module: Any = children[0].module
     keys = None
+    run, kind = _runs(children, context.plans)[0]
+    if kind == "joined" and run[0].params is None:
+        own = context if len(run) == len(children) else context._replace(output=SAME)
+        plan = _list_plan(images, run, own, position)
+        if plan is not None:
+            x, stages = _execute_list_run(images, run, own, plan)
+            return x, stages, len(run), len(run)
     if children[0].params is None and module._request((len(images), *images[0].shape)) is not None:
         keys = _more_keys(None, [module], images[0], context)
         if keys.seeds is not None:
             check_seeds(context.op, keys, len(images))
     x, stage = execute_list(images, children[0], module, keys, position, context.labels)
-    return x, stage, int(keys is not None)
+    if len(children) == 1 and context.output != SAME:
+        x, _ = make_pass(None, output=context.output).run(x, None)
+    return x, [stage], 1, int(keys is not None)
+
+
+def _list_plan(images: list[Tensor], run: Sequence[Child], context: CallContext, position: int) -> _RunPlan | None:
+    """The kept or new plan of a run on a list, whatever its sizes; None where the first child is executed by itself."""
+    x = images[0]
+    modules: list[Any] = [child.module for child in run]  # augmentations
+    key = ("list", len(images), x.shape[0], x.dtype, position, context.seed is None, context.output, *map(id, modules))
+    kept: tuple[_RunPlan | None] | None = context.plans.get(key)
+    if kept is None:
+        shape = (len(images), x.shape[0], *SIZES[0])
+        # What decides in each call whether it is applied, or reads labels, is executed after the first one.
+        decides = any((m.whole_batch and 0 < m.p_batch < 1) or m._derives for m in modules)
+        plan = None
+        if not decides and context.frames == 1 and context.owners is None and not context.is_certain:
+            plan, _ = _plan_run(x.detach().new_empty(1).expand(shape), modules, context, position, True)
+            step = plan.steps[0] if plan.steps else None
+            is_joined = isinstance(step, Joined) and len(step.geometric) > 0 and step.geometric[0] == 0
+            if not is_joined or len(plan.draws) > 1 or any(draws.learned is not None for draws in plan.draws):
+                plan = None
+        kept = (plan,)
+        context.plans.keep(key, kept)
+    return kept[0]
+
+
+def _execute_list_run(
+    images: list[Tensor], run: Sequence[Child], context: CallContext, plan: _RunPlan
+) -> tuple[Tensor, list[Stage]]:
+    modules: list[AugmentationBase] = [child.module for child in run]  # type: ignore[misc]  # by _runs
+    like, step, keys = like_batch(images), plan.steps[0], None
+    assert isinstance(step, Joined)
+    if plan.draws:
+        keys = _more_keys(None, plan.modules, like, context)
+        if keys.seeds is not None:
+            check_seeds(context.op, keys, len(images))
+    own, result = ListImages(images, modules[0]), None
+    draws = plan.requests[0] is not None
+    if isinstance(plan.drawn, DrawnPass) and keys is not None and draws and own.only_windows_differ:
+        result = plan.drawn.run_list(images, keys)
+    columns: Tensor | None = None
+    if result is not None:
+        x, matrix, columns = result
+    else:
+        if keys is not None:
+            columns = plan.draws[0].draw_list(like, keys, own.numbers_of_draws() if draws else ())
+        columns = own.with_sizes(columns, like)
+        x, matrix, _ = warp_and_color_list(images, *step.image_pass.arguments(like, columns))
+    executions = _executions(like, plan, columns, keys, 1)
+    drawn = like.new_empty(len(images), 0, dtype=torch.float32) if columns is None else columns
+    span = plan.spans[0] or Span(0, 0, False)
+    executions[0] = own.execution(drawn, span, matrix_type(like), matrix if len(step.geometric) == 1 else None)
+    for child, module, execution in zip(run, modules, executions):
+        child.record = module.__dict__["_execution"] = execution  # faster than Module.__setattr__
+    assert step.resampling is not None
+    stages: list[Stage] = [ListWarp(matrix, own.sides, list(step.size), step.resampling)]
+    running = Running(modules, executions, columns, context.has_labels)
+    for later in plan.steps[1:]:
+        x, stage = later.run(x, running)
+        if stage is not None:
+            stages.append(stage)
+    return x, stages
 
 
 def _after(stages: Sequence[Stage], context: CallContext) -> CallContext:
@@ -378,9 +450,12 @@ def _with_derived(
 
 
 def _plan_run(
-    x: Tensor, modules: Sequence[AugmentationBase], context: CallContext, position: int
+    x: Tensor, modules: Sequence[AugmentationBase], context: CallContext, position: int, of_list: bool = False
 ) -> tuple[_RunPlan, Keys | None]:
-    """The plan of a run. If it depends on keys, these are drawn and returned for all requests; otherwise they are None."""
+    """The plan of a run. If it depends on keys, these are drawn and returned for all requests; otherwise they are None.
+
+    `of_list`: x stands for a list, and the matrix of the first augmentation reads what depends on the sizes from columns.
+    """
     has_seed, has_owners = context.seed is not None, context.owners is not None
     first = position if has_seed else 0
     shape: Shape = tuple(x.shape)
@@ -428,7 +503,8 @@ def _plan_run(
         Execution(shape, None if span is None else Columns(x, span), applied=applies)  # of its span only
         for shape, span, applies in zip(shapes, spans, applied)
     ]
-    steps = plan_steps(modules, planned, context.once, x.dtype, context.output)
+    first_chain = chain_of_list(modules[0], spans[0], width) if of_list else None
+    steps = plan_steps(modules, planned, context.once, x.dtype, context.output, first_chain)
     certain = [not has_owners and (context.is_certain or module._is_certain) for module in modules]
     drawn = None
     derives = any(span is not None for span in derived_from)

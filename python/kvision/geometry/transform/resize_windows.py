@@ -101,7 +101,7 @@ resized_windows = register(
     bytes=True,
     supports=_supports,
 )
-register(
+resized_windows_backward = register(
     "resize_windows_backward",
     _reference_backward,
     fake=_size,

@@ -17,15 +17,10 @@ from kvision.geometry.transform.lists import arguments as lists
 # are then one tensor (B, C, h, w), or of each result; the options of `warp`. The results are a sequence in both cases.
 
 
-def _row(x: Tensor | None, b: int) -> Any:
-    """What parameters say for sample b."""
-    return x if x is None or x.shape[0] == 1 else x[b : b + 1]
-
-
 def _reference(images, matrix, fill, size, *options):
     sizes = lists.sizes_of(size, len(images))
     results = [
-        sampling.warp.reference(x[None], _row(matrix, b), _row(fill, b), None, next(sizes), *options)
+        sampling.warp.reference(x[None], lists.row(matrix, b), lists.row(fill, b), None, next(sizes), *options)
         for b, x in enumerate(images)
     ]
     return lists.collected(results, images[0][None], size)
@@ -37,7 +32,8 @@ def _backward(needs, grads, images, matrix, fill, size, *options):
         of_images = warp_list_backward(grads, matrix, lists.sizes(images), *options)
     if needs[1] or needs[2]:
         samples = [
-            (g, x[None], _row(matrix, b), _row(fill, b)) for b, (g, x) in enumerate(zip(lists.samples(grads), images))
+            (g, x[None], lists.row(matrix, b), lists.row(fill, b))
+            for b, (g, x) in enumerate(zip(lists.samples(grads), images))
         ]
     if needs[1]:
         each = [sampling._warp_matrix_backward(*sample, None, *options) for sample in samples]
@@ -54,7 +50,7 @@ def _backward(needs, grads, images, matrix, fill, size, *options):
 def _image_backward_reference(grads, matrix, size, *options):
     sizes = lists.sizes_of(size, len(size) // 2)
     return [
-        sampling.warp_image_backward.reference(grad, _row(matrix, b), None, [1, *next(sizes)], *options)[0]
+        sampling.warp_image_backward.reference(grad, lists.row(matrix, b), None, [1, *next(sizes)], *options)[0]
         for b, grad in enumerate(lists.samples(grads))
     ]
 
@@ -66,7 +62,7 @@ def _image_backward_backward(needs, grad_grads, grads, matrix, size, *options):
     if needs[1]:
         sizes, each = lists.sizes_of(size, len(size) // 2), []
         for b, (grad_grad, grad) in enumerate(zip(grad_grads, lists.samples(grads))):
-            args = (grad, _row(matrix, b), None, [1, *next(sizes)], *options)
+            args = (grad, lists.row(matrix, b), None, [1, *next(sizes)], *options)
             needed = (False, True, *[False] * (len(args) - 2))
             each.append(sampling.warp_image_backward.differentiate_reference(needed, grad_grad[None], *args)[1])
         of_matrix = torch.cat(each).sum_to_size(matrix.shape)

@@ -1,0 +1,110 @@
+// Antialiased resizing of windows of lists on CUDA, and its gradient, in one launch: a block finds its image in the
+// table, and resizes as blocks of batches do.
+#include "geometry/transform/lists/resize_windows_list.h"
+#include "geometry/transform/resize/resize_windows.cuh"
+
+namespace kv::geometry::cuda {
+namespace {
+
+// The sample that a block takes, and its tiles, in shared memory.
+template <class T>
+struct WindowBlock {
+  ResizeWindows<T> sample;
+  WindowTiles tiles;
+  unsigned block;  // among those of the sample
+
+  static __device__ __forceinline__ void init(void* memory, ResizeWindowsList<T> const& p, WindowTiles tiles) {
+    int const b = p.list.sample_of(int(blockIdx.x));
+    ResizeWindows<T> const sample = sample_at(p, b);
+    tiles.across = unsigned(ceil_div(int(sample.y.width), tiles.columns));
+    tiles.down = unsigned(ceil_div(int(sample.y.height), tiles.rows));
+    new (memory) WindowBlock{sample, tiles, blockIdx.x - unsigned(p.list.first[b])};
+  }
+};
+
+template <class T, int P, int R>
+__global__ void __launch_bounds__(kThreads, kBlocks)
+    resize_list_tiles(__grid_constant__ ResizeWindowsList<T> const p, WindowTiles const tiles) {
+  __shared__ __align__(16) unsigned char memory[sizeof(WindowBlock<T>)];
+  if (threadIdx.x == 0) WindowBlock<T>::init(memory, p, tiles);
+  __syncthreads();
+  auto const& own = *reinterpret_cast<WindowBlock<T> const*>(memory);
+  resize_tile<T, P, R>(own.sample, own.tiles, own.block);
+}
+
+template <class T>
+__global__ void __launch_bounds__(kElements) resize_list_any(__grid_constant__ ResizeWindowsList<T> const p) {
+  __shared__ __align__(16) unsigned char memory[sizeof(WindowBlock<T>)];
+  if (threadIdx.x == 0) WindowBlock<T>::init(memory, p, {0, 0, 0, 1, 1, 0, 0, 0});
+  __syncthreads();
+  auto const& own = *reinterpret_cast<WindowBlock<T> const*>(memory);
+  resize_element(own.sample, own.block);
+}
+
+// Sets where the blocks of each sample begin, and returns their number.
+template <class T, class BlocksOf>
+int64_t divide(ResizeWindowsList<T>& p, BlocksOf blocks_of) {
+  int64_t blocks = 0;
+  for (int b = 0; b < p.list.count; ++b) {
+    p.list.first[b] = int(blocks);
+    blocks += blocks_of(int64_t(p.list.results[b].height), int64_t(p.list.results[b].width));
+  }
+  return blocks <= INT32_MAX ? blocks : 0;
+}
+
+// A batch with the largest sides of all samples, whose tiles serve each of them.
+template <class T>
+ResizeWindows<T> largest_of(ResizeWindowsList<T> const& p, bool& fits, bool& near) {
+  ResizeWindows<T> largest = sample_at(p, 0);
+  fits = near = true;
+  for (int b = 0; b < p.list.count; ++b) {
+    ResizeWindows<T> const one = sample_at(p, b);
+    fits = fits && fits_tiles(one.x) && fits_tiles(one.y);
+    near = near && has_near_planes(one.x) && has_near_planes(one.y);
+    largest.x.height = max(largest.x.height, one.x.height);
+    largest.x.width = max(largest.x.width, one.x.width);
+    largest.y.height = max(largest.y.height, one.y.height);
+    largest.y.width = max(largest.y.width, one.y.width);
+  }
+  largest.x.outer *= p.list.count;
+  return largest;
+}
+
+template <class T>
+int resize_tiles(ResizeWindowsList<T>& p, ResizeWindows<T> const& largest, bool near, CUstream_st* stream) {
+  bool const by_groups = largest.planes % kPlanes == 0 && largest.x.step == 1 && near;
+  return dispatch_tiles(
+      largest, by_groups, [&](auto planes, auto radius, WindowTiles const& tiles, int threads) -> int {
+        auto* const kernel = resize_list_tiles<T, planes.value, radius.value>;
+        if (int const error =
+                cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, int(tiles.bytes)))
+          return error;
+        int64_t const blocks = divide(p, [&](int64_t height, int64_t width) {
+          return int64_t(tiles.groups) * ceil_div(height, int64_t(tiles.rows)) *
+                 ceil_div(width, int64_t(tiles.columns));
+        });
+        kernel<<<unsigned(blocks), threads, unsigned(tiles.bytes), stream>>>(p, tiles);
+        return cudaGetLastError();
+      });
+}
+
+}  // namespace
+
+template <class T>
+int resize_windows_list(ResizeWindowsList<T> const& params, CUstream_st* stream) {
+  ResizeWindowsList<T> p = params;
+  if constexpr (sizeof(T) < 8) {
+    bool fits, near;
+    ResizeWindows<T> const largest = largest_of(p, fits, near);
+    int const error = fits ? resize_tiles(p, largest, near, stream) : kUnsupported;
+    if (error != kUnsupported) return error;
+  }
+  int64_t const blocks = divide(
+      p, [&](int64_t height, int64_t width) { return ceil_div(height * width * p.channels, int64_t(kElements)); });
+  resize_list_any<<<unsigned(blocks), kElements, 0, stream>>>(p);
+  return cudaGetLastError();
+}
+
+KV_INSTANTIATE_WITH_BYTES(resize_windows_list, ResizeWindowsList)
+
+}  // namespace kv::geometry::cuda

@@ -1,0 +1,114 @@
+"""One pass over a list of images of different sizes: `warp_and_color`, whose warp makes them a batch.
+
+The operator gives what `warp_and_color` gives for each image alone. Its gradient is that of a warp of a list and of a color
+program behind it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from kvision._list_ops import ListOperator
+from kvision._ops import match_layout
+from kvision.augmentation import transforms
+from kvision.augmentation import warp_and_color as batches
+from kvision.geometry.transform import sampling
+from kvision.geometry.transform.lists import arguments as lists
+from kvision.geometry.transform.lists.resize_windows_list import resize_windows_list, resize_windows_list_backward
+from kvision.geometry.transform.lists.warp_list import warp_list, warp_list_backward
+
+# Arguments: images (C, H, W), and those of `warp_and_color`; the size is not empty.
+
+
+def _like(images: Sequence[Tensor]) -> Tensor:
+    """(B, C, H, W) of the type, device and layout of a list."""
+    return images[0][None].detach().expand(len(images), -1, -1, -1)
+
+
+def _reference(
+    images: Sequence[Tensor],
+    columns: Tensor | None,
+    fill: Tensor | None,
+    size: Sequence[int],
+    plan: Sequence[int],
+    numbers: Sequence[float],
+) -> tuple[Tensor, Tensor, Tensor]:
+    each = [
+        batches.warp_and_color.reference(x[None], lists.row(columns, b), lists.row(fill, b), size, plan, numbers)
+        for b, x in enumerate(images)
+    ]
+    y, matrix, mean = (torch.cat(parts) for parts in zip(*each))
+    return match_layout(y, each[0][0]), matrix, mean
+
+
+def _fake(images, columns, fill, size, plan, numbers):
+    return batches._fake(_like(images), columns, fill, size, plan, numbers)
+
+
+def _backward(needs, grads, results, images, columns, fill, size, plan, numbers):
+    grad, (y, matrix, mean), parts = grads[0], results, batches._parse(plan, numbers)
+    if needs[2] or y.dtype == torch.uint8 or images[0].dtype == torch.uint8:
+        return _differentiate_reference(needs, grad, images, columns, fill, size, plan, numbers)
+    if grad is None:
+        grad = torch.zeros_like(y)
+    options, of_columns = (*parts.sampling, True, False), None
+    if parts.steps or grad.dtype != images[0].dtype:
+        if parts.antialias:
+            (sampled,) = resize_windows_list(images, matrix, list(size), parts.sampling[0], parts.sampling[2])
+        else:
+            (sampled,) = warp_list(images, matrix, fill, list(size), *options)
+        arguments = (columns, None, matrix[:, :0], mean, [], parts.plan_of_steps, parts.numbers)
+        grad, of_columns, _ = batches._warp_and_color_backward(grad, sampled, *arguments, True, needs[1])
+    of_images = None
+    if needs[0] and parts.antialias:
+        of_images = resize_windows_list_backward(
+            [grad], matrix, lists.sizes(images), parts.sampling[0], parts.sampling[2]
+        )
+    elif needs[0]:
+        of_images = warp_list_backward([grad], matrix, lists.sizes(images), *options)
+    if not needs[1]:
+        return of_images, None, None
+    if parts.antialias:  # windows are whole pixels
+        of_matrix = torch.zeros_like(matrix)
+    else:
+        each = [
+            sampling._warp_matrix_backward(g, x[None], lists.row(matrix, b), lists.row(fill, b), None, *options)
+            for b, (g, x) in enumerate(zip(grad.split(1), images))
+        ]
+        of_matrix = torch.cat(each)
+    of_chain = transforms._transform_matrix_backward(of_matrix, columns, parts.transforms, parts.transform_numbers)
+    return of_images, of_chain if of_columns is None or not of_columns.shape[1] else of_chain + of_columns, None
+
+
+def _differentiate_reference(needs, grad, images, columns, fill, *rest: Any):
+    """The gradients where no kernel has them: of fill values, and of results rounded to bytes."""
+    count, given = len(images), [x for x in (columns, fill) if x is not None]
+
+    def result(*tensors: Tensor) -> Tensor:
+        others = iter(tensors[count:])
+        own = (None if x is None else next(others) for x in (columns, fill))
+        return _reference(tensors[:count], next(own), next(own), *rest)[0]
+
+    y, vjp_fn = torch.func.vjp(result, *images, *given)
+    of_all: Any = vjp_fn(torch.zeros_like(y) if grad is None else grad.to(y.dtype))
+    others = iter(of_all[count:])
+    return list(of_all[:count]), *(None if x is None else next(others) for x in (columns, fill))
+
+
+warp_and_color_list = ListOperator(
+    "warp_and_color_list",
+    batches.warp_and_color,
+    _reference,
+    fake=_fake,
+    backward=_backward,
+    saves_results=True,
+    non_differentiable=(1, 2),
+    supports=lambda images, *args: batches._supports(_like(images), *args),
+    nondeterministic=lambda images, columns, fill, size, plan, numbers: (
+        images[0].is_cuda and plan[3] != batches.PADDING["fill"] and not plan[5] and images[0].is_floating_point()
+    ),
+)

@@ -84,7 +84,9 @@ def _backward(needs, grads, results, images, columns, fill, size, plan, numbers)
     return of_images, of_chain if of_columns is None or not of_columns.shape[1] else of_chain + of_columns, None
 
 
-def _differentiate_reference(needs, grad, images, columns, fill, *rest: Any):
+def _differentiate_reference(
+    needs: Any, grad: Tensor | None, images: Any, columns: Tensor | None, fill: Tensor | None, *rest: Any
+) -> tuple[Any, ...]:
     """The gradients where no kernel has them: of fill values, and of results rounded to bytes."""
     count, given = len(images), [x for x in (columns, fill) if x is not None]
 
@@ -93,7 +95,7 @@ def _differentiate_reference(needs, grad, images, columns, fill, *rest: Any):
         own = (None if x is None else next(others) for x in (columns, fill))
         return _reference(tensors[:count], next(own), next(own), *rest)[0]
 
-    y, vjp_fn = torch.func.vjp(result, *images, *given)
+    y, vjp_fn = torch.func.vjp(result, *images, *given)  # type: ignore[misc]
     of_all: Any = vjp_fn(torch.zeros_like(y) if grad is None else grad.to(y.dtype))
     others = iter(of_all[count:])
     return list(of_all[:count]), *(None if x is None else next(others) for x in (columns, fill))

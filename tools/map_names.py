@@ -48,6 +48,7 @@ EXCEPTIONS = {
     "enhance/clahe": "test_equalize.py: both equalize",
     "geometry/_correspondence_errors": "the kernel of two folders: homography/test_errors.py and epipolar/test_distances.py",
     "feature/_laf_units": "test_laf.py: all formulas of frames",
+    "geometry/solvers/_two_view_fits": "test_ransac.py, which alone calls it",
     "geometry/solvers/_minimal": "test_ransac.py, which alone calls it",
     **dict.fromkeys(("resize_list", "resize_list_backward"), "defined beside resize, which they are for lists"),
     "geometry/transform/sampling": "test_warp.py: the kernels of warps and remap",

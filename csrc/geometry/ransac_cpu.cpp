@@ -1,4 +1,5 @@
-// RANSAC's scores on the CPU: models [begin, end), correspondences in vectors. Compiled once per instruction set.
+// RANSAC's scores on the CPU: models [begin, end) of all pairs, correspondences in vectors. Compiled once per
+// instruction set.
 #include "core/lanes.h"
 // Included after core/lanes.h, whose vectors it uses.
 #include "geometry/ransac.h"
@@ -9,12 +10,19 @@ namespace {
 
 // The contribution of the correspondences from i on to both scores.
 template <int N, class T>
-KV_HD void add_scores(Consensus<T> const& p, T const* m, int64_t i, Lanes<T, N>& score, Lanes<T, N>& count) {
+KV_HD void add_scores(Consensus<T> const& p, T const* m, int64_t b, int64_t i, Lanes<T, N>& score, Lanes<T, N>& count) {
   using V = Lanes<T, N>;
-  V const none{},
-      e = squared_error<V>(p, m, i, [&](T const* x, int k, int64_t i) { return load<N>(x + k * p.count + i); });
-  score += e <= p.squared_threshold ? V(1 - e * (1 / p.squared_threshold)) : none;
-  count += e <= p.squared_threshold ? V(none + 1) : none;
+  T const t = p.squared_threshold(b);
+  V const none{}, e = squared_error<V>(p, m, b, i, [](T const* x) KV_INLINE { return load<N>(x); });
+  score += e <= t ? V(1 - e * (1 / t)) : none;
+  count += e <= t ? V(none + 1) : none;
+}
+
+template <int N, class T>
+KV_HD T sum(Lanes<T, N> x) {
+  T sum = 0;
+  for (int k = 0; k < N; ++k) sum += x[k];
+  return sum;
 }
 
 }  // namespace
@@ -23,46 +31,45 @@ template <class T>
 void consensus(Consensus<T> const& p, int64_t begin, int64_t end) {
   constexpr int N = kLanes<T>;
   for (int64_t candidate = begin; candidate < end; ++candidate) {
+    int64_t const b = candidate / p.num_models;
     T const* const m = p.models + candidate * 9;
     Lanes<T, N> scores{}, counts{};
     T score = 0, count = 0;
+    bool is_given_up = false;
     int64_t i = 0;
-    for (; i + N <= p.count; i += N) add_scores<N>(p, m, i, scores, counts);
-    for (; i < p.count; ++i) add_scores<1>(p, m, i, score, count);
-    for (int k = 0; k < N; ++k) score += scores[k], count += counts[k];
-    p.scores[2 * candidate] = score;
-    p.scores[2 * candidate + 1] = count;
+    for (; i + kChunk <= p.count && !is_given_up;) {
+      for (int64_t const rest = i + kChunk; i < rest; i += N) add_scores<N>(p, m, b, i, scores, counts);
+      is_given_up = sum<N, T>(scores) < p.bound(b, i);
+    }
+    if (!is_given_up) {
+      for (; i + N <= p.count; i += N) add_scores<N>(p, m, b, i, scores, counts);
+      for (; i < p.count; ++i) add_scores<1>(p, m, b, i, score, count);
+    }
+    p.scores[2 * candidate] = score + sum<N, T>(scores);
+    p.scores[2 * candidate + 1] = count + sum<N, T>(counts);
   }
 }
 
+// The best models so far are in order; each model moves up to its rank among them.
 template <class T>
-void merge_top_k(MergeTopK<T> const& p, int64_t begin, int64_t end) {
-  for (int64_t winner = 0; winner < p.num_candidates; ++winner) {
-    int64_t const rank = p.rank_of(winner);
-    if (rank < begin || rank >= end) continue;
-    p.copy(winner, rank);
-    T const* const m = p.model_of(winner);
-    for_each_vector<T>(0, p.count, [&](auto lanes, int64_t i) {
-      constexpr int N = decltype(lanes)::value;
-      using V = Lanes<T, N>;
-      auto const read = [&](T const* x, int k, int64_t i) { return load<N>(x + k * p.count + i); };
-      V const none{}, e = squared_error<V, T>(p, m, i, read);
-      store<N>(p.weights + rank * p.count + i, V(e <= p.squared_threshold ? V(1 / (1 + e * p.softness)) : none));
-    });
-  }
-}
-
-// One thread runs this function: [begin, end) is the whole range.
-template <class T>
-void top_k_models(TopKModels<T> const& p, int64_t, int64_t) {
-  for (int64_t rank = 0, last = -1; rank < p.top_k; ++rank) {
-    last = p.next_best(last, 0, 1);
-    p.copy(last, rank);
+void top_k_models(TopKModels<T> const& p, int64_t begin, int64_t end) {
+  for (int64_t b = begin; b < end; ++b) {
+    T *const models = p.top_models + 9 * b * p.top_k, *const scores = p.top_scores + 2 * b * p.top_k;
+    auto const rankable = [](T score) KV_INLINE { return score == score ? score : T(-__builtin_inf()); };
+    for (int64_t i = 0, count = 0; i < p.num_models; ++i) {
+      T const score = p.score(b, i);
+      if (count == p.top_k && !(score > rankable(scores[2 * (count - 1) + p.by_count]))) continue;
+      int64_t rank = count < p.top_k ? count++ : count - 1;
+      for (; rank > 0 && score > rankable(scores[2 * (rank - 1) + p.by_count]); --rank) {
+        for (int k = 0; k < 9; ++k) models[9 * rank + k] = models[9 * (rank - 1) + k];
+        for (int k = 0; k < 2; ++k) scores[2 * rank + k] = scores[2 * (rank - 1) + k];
+      }
+      p.copy(b, i, rank);
+    }
   }
 }
 
 KV_INSTANTIATE_COMPUTED(consensus, Consensus)
 KV_INSTANTIATE_COMPUTED(top_k_models, TopKModels)
-KV_INSTANTIATE_COMPUTED(merge_top_k, MergeTopK)
 
 }  // namespace kv::geometry::KV_ISA

@@ -409,16 +409,92 @@ KV_CALLED int roots_in_unit(double const* p, int degree, double* roots) {
   return count;
 }
 
+// Simple roots in [-1, 1] of a polynomial of a degree up to kMaxRoots, by Sturm's sequence: how often its signs change
+// at two points tells how many roots are between. It takes a fifth of the time of roots_in_unit, and counts a root of
+// several once or not at all.
+struct SturmSequence {
+  double p[kMaxRoots + 1][kMaxRoots + 1];
+  int degree[kMaxRoots + 1], length;
+
+  KV_HD SturmSequence(double const* polynomial, int n) : length(2) {
+    for (int i = 0; i <= n; ++i) p[0][i] = polynomial[i];
+    for (int i = 0; i < n; ++i) p[1][i] = polynomial[i] * (n - i);
+    degree[0] = n, degree[1] = n - 1;
+    while (degree[length - 1] > 0) {  // the negative remainder of the last two, up to a positive factor
+      double const *const a = p[length - 2], *const b = p[length - 1];
+      int const na = degree[length - 2], nb = degree[length - 1];
+      double rest[kMaxRoots + 1], *const r = p[length], largest = 0;
+      for (int i = 0; i <= na; ++i) rest[i] = a[i];
+      double const inverse = 1 / b[0];
+      for (int k = 0; k <= na - nb; ++k) {
+        double const factor = rest[k] * inverse;
+        for (int i = 1; i <= nb; ++i) rest[k + i] -= factor * b[i];
+      }
+      for (int i = na - nb + 1; i <= na; ++i) largest = max(largest, magnitude(rest[i]));
+      if (!(largest > 1e-14 * magnitude(b[0])) || !finite(largest)) return;
+      int first = na - nb + 1;
+      while (first < na && magnitude(rest[first]) <= 1e-14 * largest) ++first;
+      double const scale = -1 / largest;
+      for (int i = first; i <= na; ++i) r[i - first] = rest[i] * scale;
+      degree[length++] = na - first;
+    }
+  }
+  KV_HD int sign_changes(double x) const {
+    int changes = 0;
+    double last = 0;
+    for (int k = 0; k < length; ++k) {
+      double value = p[k][0];
+      for (int i = 1; i <= degree[k]; ++i) value = value * x + p[k][i];
+      changes += last * value < 0;
+      last = value != 0 ? value : last;
+    }
+    return changes;
+  }
+};
+KV_CALLED int simple_roots_in_unit(double const* p, int degree, double* roots) {
+  SturmSequence const sequence(p, degree);
+  struct Interval {
+    double low, high;
+    int changes_low, changes_high;
+  };
+  Interval open[64];
+  int num_open = 1, count = 0;
+  open[0] = {-1, 1, sequence.sign_changes(-1), sequence.sign_changes(1)};
+  while (num_open > 0 && count < degree) {
+    Interval const at = open[--num_open];
+    int const num_roots = at.changes_low - at.changes_high;
+    if (num_roots <= 0 || at.high - at.low < 1e-12) continue;
+    if (num_roots == 1) {
+      double derivative;
+      double const low = evaluate_polynomial(p, degree, at.low, derivative),
+                   high = evaluate_polynomial(p, degree, at.high, derivative);
+      if (low * high < 0) {
+        roots[count++] = root_between(p, degree, at.low, at.high, high > 0);
+        continue;
+      }
+    }
+    double const middle = (at.low + at.high) / 2;
+    int const changes = sequence.sign_changes(middle);
+    if (num_open + 2 > 64) break;
+    open[num_open++] = {middle, at.high, changes, at.changes_high};
+    open[num_open++] = {at.low, middle, at.changes_low, changes};
+  }
+  return count;
+}
+
 // Returns the number of real roots, which are in no order. Roots outside of [-1, 1] are reciprocals of roots of the
-// mirrored polynomial.
+// mirrored polynomial. With kSimple, roots of several may be missing.
+template <bool kSimple = false>
 KV_CALLED int real_roots(double const* coefficients, int degree, double* roots) {
   double p[kMaxRoots + 1], mirrored[kMaxRoots + 1], mirrored_roots[kMaxRoots];
   double largest = 0;
   for (int i = 0; i <= degree; ++i) largest = max(largest, magnitude(coefficients[i]));
   if (!(largest > 0) || !finite(largest)) return 0;
   for (int i = 0; i <= degree; ++i) p[i] = mirrored[degree - i] = coefficients[i] / largest;
-  int count = roots_in_unit(p, degree, roots);
-  int const outside = roots_in_unit(mirrored, degree, mirrored_roots);
+  if (kSimple && (p[0] == 0 || mirrored[0] == 0)) return 0;
+  int count = kSimple ? simple_roots_in_unit(p, degree, roots) : roots_in_unit(p, degree, roots);
+  int const outside = kSimple ? simple_roots_in_unit(mirrored, degree, mirrored_roots)
+                              : roots_in_unit(mirrored, degree, mirrored_roots);
   for (int i = 0; i < outside; ++i)
     if (magnitude(mirrored_roots[i]) < 1 && mirrored_roots[i] != 0 && count < degree && finite(1 / mirrored_roots[i]))
       roots[count++] = 1 / mirrored_roots[i];

@@ -187,13 +187,18 @@ void results() {
   expect_close("motion_from_essential_choose_solution", std::get<2>(motion), space, 1e-3);
   Tensor const levels = torch::tensor({1.f, 2.f, 3.f}).expand({2, 3});
   expect_close("eigenvectors", std::get<0>(kvision::ops::eigenvectors(torch::diag_embed(levels.flip(1)))), levels);
-  Tensor const points = from[0].t().contiguous(), one = torch::eye(3).unsqueeze(0);
-  expect_close("consensus", kvision::ops::consensus(one, points, points, 0.1, int64_t(kvision::ops::Model::homography)),
-               torch::full({1, 2}, 9.f));
-  expect_close("top_k_models",
-               std::get<0>(kvision::ops::top_k_models(torch::cat({0 * one, one}),
-                                                      torch::tensor({{0.f, 0.f}, {1.f, 1.f}}), 1, true)),
-               one);
+  Tensor const points = from.transpose(1, 2).contiguous(), one = torch::eye(3).expand({2, 1, 3, 3});
+  int64_t const homography = int64_t(kvision::ops::Model::homography);
+  expect_close("consensus",
+               kvision::ops::consensus(one, points, points, torch::zeros({2}), torch::full({2}, 0.1f), homography),
+               torch::full({2, 1, 2}, 9.f));
+  Tensor const scores = torch::tensor({{0.f, 0.f}, {1.f, 1.f}}).expand({2, 2, 2});
+  auto const [best, count] = kvision::ops::top_k_models(torch::cat({0 * one, one}, 1), scores, 1, true);
+  expect_close("top_k_models", best, one);
+  Tensor const pixels = points.to(torch::kDouble);
+  auto const [fitted, sums] = kvision::ops::two_view_fits(one.to(torch::kDouble), pixels, pixels, {},
+                                                          torch::full({2}, 0.1, torch::kDouble), 1, homography);
+  expect_close("two_view_fits", fitted / fitted.slice(2, 2).slice(3, 2), one.to(torch::kDouble));
 }
 
 // Matches of descriptors, compared with distances of all pairs.

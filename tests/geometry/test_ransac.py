@@ -10,12 +10,13 @@ from torch import Tensor
 import kvision as K
 from kvision._modes import MODEL
 from kvision.geometry.homography.dlt import homography_of
-from kvision.geometry.ransac import _consensus, _merge_top_k, _top_k_models
+from kvision.geometry.ransac import _consensus, _top_k_models
 from kvision.geometry.solvers._minimal import SIZES, eight_points, minimal_solver
+from kvision.geometry.solvers._two_view_fits import two_view_fits
 from kvision.geometry.solvers.affine import affine_of
 from op_tests import assert_close, instruction_set
-from point_op_tests import SINGLE_AND_DOUBLE, SQUARE, Call, PointOpTests, vector
-from view_tests import Scene, homographies, moved, on_planes, rand
+from point_op_tests import EYE, SINGLE_AND_DOUBLE, SQUARE, Call, PointOpTests, near, vector
+from view_tests import Scene, homographies, moved, moved_by, on_planes, rand
 
 N = 400
 
@@ -129,6 +130,52 @@ def test_gradients_are_those_of_the_fit(model, device):
         assert_close(grad.sum(0).cpu(), torch.tensor([1.0, 0.0]).double(), 0, 1e-6)
 
 
+def test_essential_matrices_of_pixels(device):
+    """With camera matrices points and threshold are in pixels; the model is that of normalized points, on the device of all."""
+    x, y, _, threshold = correspondences("essential")
+    cameras = torch.tensor(
+        [[[80.0, 0.5, 40], [0, 84, 30], [0, 0, 1]], [[160.0, 0, 60], [0, 160, 50], [0, 0, 1]]]
+    ).double()
+    pixels = [torch.nn.functional.pad(p, (0, 1), value=1.0) @ K.mT for p, K in zip((x, y), cameras)]
+    first, second = (p[:, :2].to(device) for p in pixels)
+    cameras = cameras.to(device)
+    ransac = K.geometry.RANSAC("essential", threshold * 121, seed=0)
+    E, inliers = ransac(first, second, None, *cameras)
+    normalized = K.geometry.RANSAC("essential", threshold, seed=0)(x.to(device), y.to(device))
+    assert_close(E, normalized[0], 1e-6, 1e-9)
+    assert torch.equal(inliers, normalized[1])
+    twice = ransac(torch.stack([first, first]), torch.stack([second, second]), None, cameras[0], cameras[1:])[0]
+    assert_close(twice[0].abs(), E.abs(), 0, 0.05)
+    with pytest.raises(ValueError, match="RANSAC: expected no K1 and K2 for 'homography'"):
+        K.geometry.RANSAC()(first, second, K1=cameras[0])
+    with pytest.raises(ValueError, match=r"RANSAC: expected K2 of shape \(3, 3\) or \(1, 3, 3\)"):
+        ransac(first, second, K1=cameras[0], K2=cameras)
+
+
+def test_dominant_planes(device):
+    """Nine of ten right points are in a plane, which any epipole explains: with its homography the others find the true one."""
+    errors = {False: [], True: []}
+    for seed in range(6):
+        scene = Scene(1, 300, noise=0.0, seed=seed)
+        normal = torch.tensor([0.1, -0.2, 1.0]).double()
+        space = scene.points.clone()
+        depth = 4.0 / (space[0] / space[0, :, 2:] @ normal)
+        space[0, :180] = (space[0] / space[0, :, 2:] * depth[:, None])[:180]
+        x, y = (moved_by(P, space) for P in (scene.P1, scene.P2))
+        truth = x[0, 180:200], y[0, 180:200]
+        generator = torch.Generator().manual_seed(seed)
+        x, y = (p + 0.1 * torch.randn(p.shape, dtype=p.dtype, generator=generator) for p in (x, y))
+        y[0, 200:] = y[0, 200:].flip(0) + 9
+        for degensac in (False, True):
+            ransac = K.geometry.RANSAC("fundamental", 0.4, seed=seed, degensac=degensac, max_samples=300)
+            F = ransac(x[0].to(device), y[0].to(device))[0].cpu()
+            errors[degensac].append(
+                K.geometry.sampson_epipolar_distance(*(p[None] for p in truth), F[None], False).mean()
+            )
+    plain, planes = (torch.stack(errors[k]) for k in (False, True))
+    assert planes.median() < 0.1 and planes.mean() < 0.5 * plain.mean(), (plain, planes)
+
+
 def test_seeds(device):
     x, y, _, threshold = (v.to(device) if isinstance(v, Tensor) else v for v in correspondences("homography"))
     state = torch.get_rng_state()
@@ -180,7 +227,7 @@ def test_steps(device):
         ({"inl_th": 0.0}, ValueError, "expected inl_th above 0"),
         ({"confidence": 1.5}, ValueError, "expected confidence"),
         ({"score_type": "count"}, ValueError, "score_type must be one of"),
-        ({"degensac": True}, ValueError, "degensac must be one of"),
+        ({"degensac": True}, ValueError, "expected degensac False or None for 'homography'"),
         ({"max_iter": 0}, ValueError, "expected max_iter"),
     ],
 )
@@ -223,45 +270,67 @@ def test_minimal_models_are_the_references(model, device):
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=str)
 def test_consensus_is_the_references(model, dtype, device):
     numbers = 4 if model == "lines" else 2
-    x, y = (rand(numbers, 77, high=9, seed=s).to(device, dtype) for s in (1, 2))
-    models = rand(40, 3, 3, low=-1, seed=3).to(device, dtype)
-    models[7, 1, 1] = float("nan")
-    result = _consensus(models, x, y, 3.0, MODEL[model])
-    with K.backend("reference"):
-        expected = _consensus(models, x, y, 3.0, MODEL[model])
-    assert_close(result[:, 1], expected[:, 1])
-    assert_close(result, expected, 1e-4, 1e-3)
-
-
-@pytest.mark.parametrize("model", ["homography", "lines", "essential"])
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=str)
-def test_merge_top_k_is_the_references(model, dtype, device):
-    numbers = 4 if model == "lines" else 2
-    x, y = (rand(numbers, 301, high=9, seed=s).to(device, dtype) for s in (1, 2))
-    models, others = (rand(count, 3, 3, low=-1, seed=count).to(device, dtype) for count in (9, 8))
-    others[3] = models[5]  # of two that are as good the first is taken
-    scores, other_scores = (_consensus(m, x, y, 3.0, MODEL[model]) for m in (models, others))
-    for by_count, count in ((False, 8), (True, 1), (False, 40)):
-        args = (models, scores, others, other_scores, x, y, 3.0, 0.2, count, by_count, MODEL[model])
-        result = _merge_top_k(*args)
+    x, y = (rand(2, numbers, 333, high=9, seed=s).to(device, dtype) for s in (1, 2))
+    models = rand(2, 40, 3, 3, low=-1, seed=3).to(device, dtype)
+    models[0, 7, 1, 1] = float("nan")
+    for least in (0.0, 200.0):  # few models reach 200
+        args = models, x, y, *torch.tensor([[least, 0.0], [3.0, 2.5]]).to(device, dtype), MODEL[model]
+        result = _consensus(*args)
         with K.backend("reference"):
-            expected = _merge_top_k(*args)
-        assert_close(result[:2], expected[:2], 0, 0)
-        assert_close(result[2], expected[2], 1e-4, 1e-4)
-    alone = _merge_top_k(models, scores, others[:0], other_scores[:0], x, y, 3.0, 0.0, 3, False, MODEL[model])
-    assert_close(alone[1][:, 0], scores[:, 0].sort(descending=True).values[:3], 0, 0)
-    assert_close(alone[2].sum(-1), alone[1][:, 1], 0, 0)
+            expected = _consensus(*args)
+        assert_close(result[..., 1], expected[..., 1])
+        assert_close(result, expected, 1e-4, 1e-3)
+    with K.backend("reference"):
+        whole = _consensus(*args[:3], torch.zeros_like(args[3]), *args[4:])
+    kept = whole[0, :, 0] >= 200
+    assert_close(result[0][kept], whole[0][kept], 1e-4, 1e-3)
+    assert (result[0, :, 1] <= whole[0, :, 1]).all() and (result[0] < whole[0] - 1).any()
 
 
 @pytest.mark.parametrize("count", [1, 8, 3000])
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=str)
 def test_top_k_models_are_the_references(count, dtype, device):
-    models, scores = rand(2500, 3, 3, low=-1), (9 * rand(2500, 2)).round()  # many are as good
-    models, scores = models.to(device, dtype), scores.to(device, dtype)
+    models, scores = rand(2, 2500, 3, 3, low=-1), (9 * rand(2, 2500, 2)).round()  # many are as good
+    models, scores = (x.to(device, dtype) for x in (models, scores))
     for by_count in (False, True):
         result = _top_k_models(models, scores, count, by_count)
         with K.backend("reference"):
             assert_close(result, _top_k_models(models, scores, count, by_count), 0, 0)
+
+
+def up_to_scale(models: Tensor, scores: Tensor) -> tuple[Tensor, Tensor]:
+    """Products of the entries of models, which have no sign, in units of the largest."""
+    flat = models.flatten(2)[..., None]
+    products = flat @ flat.mT
+    return products / products.abs().amax((-2, -1), keepdim=True), scores
+
+
+@pytest.mark.parametrize("model", ["affine", "homography", "lines", "fundamental", "essential"])
+def test_two_view_fits_are_the_references(model, device):
+    """Of two pairs of different sizes, from good models and bad ones."""
+    scene, planes = Scene(2, 90, noise=0.3), on_planes(2, 90, noise=0.3)
+    x, y = scene.normalized() if model == "essential" else (scene.x1, scene.x2) if model[0] == "f" else planes[:2]
+    if model == "lines":
+        x, y = x.reshape(2, 45, 4), y.reshape(2, 45, 4)
+    size = SIZES[model][0]
+    draws = torch.cat([rand(6, size), torch.full((6, 1), float(x.shape[1])).double()], 1)
+    models = minimal_solver(x, y, draws, model).view(2, -1, 3, 3)
+    x, y, weights = x.mT.clone(), y.mT.clone(), rand(2, x.shape[1])
+    y[:, 1, :20], weights[1, -9:] = rand(2, 20, high=90), 0
+    x[0, 0, 11] = float("nan")
+    reach = 3.0 if model != "essential" else 3 / 80
+    x, y, weights, models = (v.to(device) for v in (x, y, weights, models))
+    reach = torch.tensor([reach, 0.8 * reach], dtype=torch.float64, device=device)
+    for options in ((None, reach, 0), (weights, reach, 1), (weights, reach, 6)):
+        result = two_view_fits(models, x, y, *options, model)
+        with K.backend("reference"):
+            expected = two_view_fits(models, x, y, *options, model)
+        assert_close(result[1], expected[1], 1e-5, 1e-9)
+        has_model = expected[1] > 0
+        assert torch.equal(result[0].isnan().flatten(2).any(-1), expected[0].isnan().flatten(2).any(-1))
+        a, b = (up_to_scale(*r)[0][has_model] for r in (result, expected))
+        assert_close(a, b, 0, 1e-5)
+    assert (result[1] >= two_view_fits(models, x, y, weights, reach, 0, model)[1] * (1 - 1e-9)).all()
 
 
 def test_one_set_of_points_serves_all_weights(device):
@@ -280,7 +349,7 @@ def test_instruction_sets(isa, device, backend):
         for model in ("lines", "fundamental", "essential"):
             test_minimal_models_are_the_references(model, device)
             test_consensus_is_the_references(model, torch.float32, device)
-            test_merge_top_k_is_the_references(model, torch.float32, device)
+            test_two_view_fits_are_the_references(model, device)
         scene = Scene(1, 9)
         assert_close(K.geometry.triangulate_points(scene.P1, scene.P2, scene.x1, scene.x2), scene.points, 1e-7, 1e-7)
 
@@ -289,15 +358,27 @@ def test_operators_refuse_bad_arguments(backend):
     if backend == "reference":
         pytest.skip("this test is about the kernels")
     x, ops = torch.rand(1, 9, 2), torch.ops.kvision
-    eye, scores = torch.eye(3)[None], torch.zeros(1, 2)
+    eye, scores, models, rows, one = (
+        torch.eye(3)[None],
+        torch.zeros(1, 1, 2),
+        torch.rand(1, 4, 3, 3),
+        x.mT,
+        torch.ones(1),
+    )
     for call in (
         lambda: ops.minimal_solver(x, x, None, MODEL["homography"]),
         lambda: ops.minimal_solver(x, x[:, :3], None, MODEL["affine"]),
         lambda: ops.minimal_solver(x, x, torch.rand(5, 4), MODEL["homography"]),
         lambda: ops.minimal_solver(x.half(), x.half(), torch.rand(5, 5), MODEL["homography"]),
         lambda: ops.minimal_solver(x, x, torch.rand(5, 5), 6),
-        lambda: ops.consensus(torch.rand(4, 3, 3), x[0], x[0], 1.0, MODEL["homography"]),
-        lambda: ops.consensus(torch.rand(4, 9), x[0].T, x[0].T, 1.0, MODEL["homography"]),
+        lambda: ops.consensus(models, x, x, one, one, MODEL["homography"]),
+        lambda: ops.consensus(models, rows, rows, one[:0], one, MODEL["homography"]),
+        lambda: ops.consensus(models[0], rows, rows, one, one, MODEL["homography"]),
+        lambda: ops.two_view_fits(models, rows, rows, None, one.double(), 2, MODEL["homography"]),
+        lambda: ops.two_view_fits(models.double(), rows.double(), rows.double(), None, one.double(), 2, MODEL["lines"]),
+        lambda: ops.two_view_fits(
+            models.double(), rows.double(), rows.double(), one.double(), one.double(), 2, MODEL["affine"]
+        ),
         lambda: ops.null_vector(torch.rand(2, 5, 7), None),
         lambda: ops.null_vector(torch.rand(2, 5, 9), torch.rand(2, 4)),
         lambda: ops.null_vector_backward(torch.rand(2, 9), torch.rand(2, 4), torch.rand(2, 5, 9), None),
@@ -315,9 +396,6 @@ def test_operators_refuse_bad_arguments(backend):
         lambda: ops.distort_points(x, eye, torch.rand(1, 3, 2), torch.rand(1, 4), None),
         lambda: ops.eigenvectors(torch.rand(2, 5, 5)),
         lambda: ops.eigenvectors(torch.rand(2, 5, 9)),
-        lambda: ops.merge_top_k(eye, scores, eye, scores[:, :1], x[0].T, x[0].T, 1.0, 0.0, 1, False, MODEL["affine"]),
-        lambda: ops.merge_top_k(eye, scores, eye[:0], scores[:0], x[0].T, x[0], 1.0, 0.0, 1, False, MODEL["affine"]),
-        lambda: ops.merge_top_k(eye, scores, eye, scores, x[0].T, x[0].T, 1.0, 0.0, 0, False, MODEL["affine"]),
         lambda: ops.homography_dlt(x, x[:, :3], None),
         lambda: ops.homography_dlt(x, x, torch.rand(1, 8)),
         lambda: ops.homography_lines_dlt(x, x, None),
@@ -331,8 +409,8 @@ def test_operators_refuse_bad_arguments(backend):
         lambda: ops.affine_fit_backward(torch.rand(1, 9), x, x, None),
         lambda: ops.pose_dlt(x, x, eye, None, 0.0),
         lambda: ops.pose_dlt(torch.rand(1, 9, 3), x, eye[:, :2], None, 0.0),
-        lambda: ops.top_k_models(eye, scores[:, :1], 1, False),
-        lambda: ops.top_k_models(eye[:0], scores[:0], 1, False),
+        lambda: ops.top_k_models(eye[None], scores[..., :1], 1, False),
+        lambda: ops.top_k_models(models[:, :0], scores[:, :0], 1, False),
         lambda: ops.correspondence_errors(x, x[:, :4], eye, "sampson", True),
         lambda: ops.correspondence_errors(x, x, eye, "segments", True),
         lambda: ops.correspondence_errors(x, x, eye, "sphere", True),
@@ -414,28 +492,30 @@ def test_opencv_affine():
     assert_close(moved(x[None, right], model[None]), moved(x[None, right], least[None]), 0, 0.1)
 
 
-SEEN = rand(2, 77, high=9, seed=1), rand(2, 77, high=9, seed=2)
-SCORES = vector(2)
+def random_models() -> Tensor:
+    return rand(4, 3, 3, low=-1) + 0.3 * torch.rand(4, 3, 3)
 
 
-def random_model() -> Tensor:
-    return rand(3, 3, low=-1) + 0.3 * torch.rand(3, 3)
+SCENE, PLANES = Scene(1, 77, noise=0.1), on_planes(1, 77, noise=0.1)
 
 
 # Any number of models may be kept, and C++ asks for axes before it checks how many there are.
-RANSAC_ACCEPTED = ("count ", "min_inliers ", "another batch", "without axes", "one axis less")
+RANSAC_ACCEPTED = ("count ", "rounds ", "another batch", "without axes", "one axis less")
 
 
 class TestRansacOperators(PointOpTests):
-    """Where models stand for samples; lists of them are merged and cut, so only `consensus` gives each its own result."""
-
     calls = {
         "consensus": [
             Call(
-                (random_model, *SEEN),
-                (3.0, MODEL[model]),
+                (
+                    random_models,
+                    vector(2, 77, scale=9.0),
+                    vector(2, 77, scale=9.0),
+                    vector(scale=9.0),
+                    vector(scale=3.0),
+                ),
+                (MODEL[model],),
                 broadcasts=False,
-                per_sample=False,
                 differentiable=False,
                 accepted=RANSAC_ACCEPTED,
                 dtypes=SINGLE_AND_DOUBLE,
@@ -443,29 +523,43 @@ class TestRansacOperators(PointOpTests):
             )
             for model in ("homography", "fundamental", "essential")
         ],
-        "merge_top_k": [
-            Call(
-                (random_model, SCORES, random_model, SCORES, *SEEN),
-                (3.0, 0.2, 4, False, MODEL["homography"]),
-                broadcasts=False,
-                per_sample=False,
-                differentiable=False,
-                accepted=RANSAC_ACCEPTED,
-                dtypes=SINGLE_AND_DOUBLE,
-                tolerance=200,
-            )
-        ],
         "top_k_models": [
             Call(
-                (random_model, SCORES),
+                (random_models, vector(4, 2)),
                 (2, by_count),
                 broadcasts=False,
-                per_sample=False,
                 differentiable=False,
                 accepted=RANSAC_ACCEPTED,
                 dtypes=SINGLE_AND_DOUBLE,
             )
             for by_count in (False, True)
+        ],
+        "two_view_fits": [
+            Call(
+                (
+                    *(near(x, distance) for x, distance in zip(inputs, distances)),
+                    vector(77),
+                    near(torch.tensor(reach), 0.1),
+                ),
+                (1, MODEL[model]),
+                broadcasts=False,
+                differentiable=False,
+                accepted=(*RANSAC_ACCEPTED, "another dtype"),
+                dtypes=(torch.float64,),
+                tolerance=200,
+                compared=up_to_scale,
+            )
+            for model, reach, inputs, distances in (
+                ("affine", 4.0, (EYE.expand(3, 3, 3), PLANES[0][0].mT, PLANES[0][0].mT), (1e-3, 0.1, 0.1)),
+                ("homography", 4.0, (PLANES[2].expand(3, 3, 3), PLANES[0][0].mT, PLANES[1][0].mT), (1e-4, 0.1, 0.1)),
+                ("fundamental", 4.0, (SCENE.F.expand(3, 3, 3), SCENE.x1[0].mT, SCENE.x2[0].mT), (1e-6, 0.1, 0.1)),
+                (
+                    "essential",
+                    0.1,
+                    (SCENE.E.expand(3, 3, 3), *(x[0].mT for x in SCENE.normalized())),
+                    (1e-3, 1e-3, 1e-3),
+                ),
+            )
         ],
         "minimal_solver": [
             Call(

@@ -14,6 +14,7 @@
 #include "core/isa.h"
 #include "geometry/small_matrix.h"
 #include "geometry/solvers/polynomials.h"
+#include "geometry/solvers/seven_points.h"
 
 namespace kv::geometry {
 
@@ -25,14 +26,14 @@ KV_HD int sample_size(Model m) {
 }
 KV_HD int candidates(Model m) { return m == Model::essential ? 10 : m == Model::fundamental ? 3 : 1; }
 
-// With `draws`, (S, m + 1), the points are (1, N, .). Each row of draws has m numbers in [0, 1), which select a sample
-// among the first points; the last number of the row says how many. Without draws, sample s is the points
-// (s, m, .) of (S, m, .).
+// With `draws`, (S, m + 1), the points are (B, N, .), and S / B rows in turn are of one pair. Each row of draws has m
+// numbers in [0, 1), which select a sample among the first points; the last number of the row says how many, and fewer
+// than m have no model. Without draws, sample s is the points (s, m, .) of (S, m, .).
 template <class T>
 struct Minimal {
   Reals points1, points2, draws;  // draws.data may be null
   Model model;
-  int64_t samples, count;
+  int64_t samples, samples_per_pair, count;
   Reals models;  // (S, candidates, 9)
 };
 
@@ -44,11 +45,13 @@ constexpr int kMaxPoints = 8;
 
 using Points = double[kMaxPoints][4];  // (x, y), or both ends of a line segment
 
-// Chooses distinct indices below `population`; all choices are equally likely (R. Floyd's method).
+// Chooses distinct indices below `population`; all choices are equally likely (R. Floyd's method). False if these are
+// too few.
 template <class T>
-KV_HD void choose_distinct(Minimal<T> const& p, int64_t sample, int size, int64_t* indices) {
+KV_HD bool choose_distinct(Minimal<T> const& p, int64_t sample, int size, int64_t* indices) {
   int64_t const row = sample * (size + 1);
-  int64_t const population = clamp(int64_t(p.draws[row + size]), int64_t(size), p.count);
+  int64_t const population = min(int64_t(p.draws[row + size]), p.count), start = sample / p.samples_per_pair * p.count;
+  if (population < size) return false;
   for (int i = 0; i < size; ++i) {
     int64_t const last = population - size + i;
     int64_t pick = clamp(int64_t(p.draws[row + i] * double(last + 1)), int64_t(0), last);
@@ -56,6 +59,8 @@ KV_HD void choose_distinct(Minimal<T> const& p, int64_t sample, int size, int64_
       if (indices[k] == pick) pick = last;
     indices[i] = pick;
   }
+  for (int i = 0; i < size; ++i) indices[i] += start;
+  return true;
 }
 
 // --- affine maps and homographies ------------------------------------------------------------------------------------
@@ -174,32 +179,16 @@ KV_HD void epipolar_rows(Points const& x, Points const& y, int points, double (*
   }
 }
 
-KV_CALLED int fundamental(Points& x, Points& y, int points, double (*models)[9]) {
-  Normalization const normalize1(x, points, 1), normalize2(y, points, 1);
-  double rows[8][9], null_vectors[2][9];
-  epipolar_rows(x, y, points, rows);
-  if (!small::null_space(rows, points, null_vectors)) return 0;
-  int count = 1;
-  if (points == 8) {
-    double v[3];
-    for (int k = 0; k < 9; ++k) models[0][k] = null_vectors[0][k];
-    small::project_to_rank_two(models[0], v);
-  } else {  // det (a D + F) = 0
-    double const *const D = null_vectors[0], *const F = null_vectors[1];
-    double cofactors_D[9], cofactors_F[9], roots[small::kMaxRoots];
-    cofactors3(D, cofactors_D);
-    cofactors3(F, cofactors_F);
-    double cubic[] = {dot3(D, cofactors_D), 0, 0, dot3(F, cofactors_F)};
-    for (int k = 0; k < 9; ++k) cubic[1] += cofactors_D[k] * F[k], cubic[2] += cofactors_F[k] * D[k];
-    count = small::real_roots(cubic, 3, roots);
-    for (int i = 0; i < count; ++i)
-      for (int k = 0; k < 9; ++k) models[i][k] = roots[i] * D[k] + F[k];
-  }
-  for (int i = 0; i < count; ++i) {
-    normalize1.multiply_right(models[i]);
-    normalize2.multiply_left_transposed(models[i]);
-  }
-  return count;
+KV_CALLED int eight_points(Points& x, Points& y, double* m) {
+  Normalization const normalize1(x, 8, 1), normalize2(y, 8, 1);
+  double rows[8][9], null_vectors[1][9], v[3];
+  epipolar_rows(x, y, 8, rows);
+  if (!small::null_space(rows, 8, null_vectors)) return 0;
+  for (int k = 0; k < 9; ++k) m[k] = null_vectors[0][k];
+  small::project_to_rank_two(m, v);
+  normalize1.multiply_right(m);
+  normalize2.multiply_left_transposed(m);
+  return 1;
 }
 
 // --- five points -----------------------------------------------------------------------------------------------------
@@ -298,7 +287,7 @@ KV_CALLED int essential(Points const& x, Points const& y, double (*models)[9]) {
     add_polynomials(minor, 7, system[r][2], 5, 1, determinant);
   }
   double roots[small::kMaxRoots];
-  int const num_roots = small::real_roots(determinant, 10, roots);
+  int const num_roots = small::real_roots<true>(determinant, 10, roots);
   int count = 0;
   for (int n = 0; n < num_roots; ++n) {
     double rows[3][3], best[3] = {}, largest = 0, derivative;
@@ -327,21 +316,53 @@ KV_CALLED int essential(Points const& x, Points const& y, double (*models)[9]) {
 
 }  // namespace minimal_solvers
 
+// The points of a sample; false if too many are asked for.
 template <class T>
-KV_HD void solve_minimal_sample(Minimal<T> const& p, int64_t sample) {
-  using namespace minimal_solvers;
-  int const size = sample_size(p.model), numbers = p.model == Model::lines ? 4 : 2, max_models = candidates(p.model);
-  int64_t indices[kMaxPoints];
-  if (p.draws.data)
-    choose_distinct(p, sample, size, indices);
-  else
+KV_HD bool read_sample(Minimal<T> const& p, int64_t sample, minimal_solvers::Points& x, minimal_solvers::Points& y) {
+  int const size = sample_size(p.model), numbers = p.model == Model::lines ? 4 : 2;
+  int64_t indices[minimal_solvers::kMaxPoints];
+  if (!p.draws.data)
     for (int i = 0; i < size; ++i) indices[i] = sample * size + i;
-  Points x = {}, y = {};
+  else if (!minimal_solvers::choose_distinct(p, sample, size, indices))
+    return false;
   for (int i = 0; i < size; ++i)
     for (int k = 0; k < numbers; ++k) {
       x[i][k] = p.points1[indices[i] * numbers + k];
       y[i][k] = p.points2[indices[i] * numbers + k];
     }
+  return true;
+}
+
+// Samples first, ..., first + samples - 1 of seven points, at most as many as V has lanes.
+template <class V, class T>
+KV_HD void solve_seven_points(Minimal<T> const& p, int64_t first, int samples) {
+  auto const lane = [](V& x, int i) KV_INLINE -> double& { return reinterpret_cast<double*>(&x)[i]; };
+  V x[7][2] = {}, y[7][2] = {}, models[3][9];
+  for (int s = 0; s < samples; ++s) {
+    minimal_solvers::Points one = {}, two = {};
+    bool const exists = read_sample(p, first + s, one, two);
+    for (int i = 0; i < 7; ++i)
+      for (int k = 0; k < 2; ++k) {
+        lane(x[i][k], s) = exists ? one[i][k] : small::nan();
+        lane(y[i][k], s) = two[i][k];
+      }
+  }
+  seven_points::solve<V>(x, y, models);
+  for (int s = 0; s < samples; ++s)
+    for (int c = 0; c < 3; ++c)
+      for (int k = 0; k < 9; ++k) p.models.set(((first + s) * 3 + c) * 9 + k, lane(models[c][k], s));
+}
+
+template <class T>
+KV_HD void solve_minimal_sample(Minimal<T> const& p, int64_t sample) {
+  using namespace minimal_solvers;
+  int const max_models = candidates(p.model);
+  if (p.model == Model::fundamental) return solve_seven_points<double>(p, sample, 1);
+  Points x = {}, y = {};
+  if (!read_sample(p, sample, x, y)) {
+    for (int k = 0; k < 9 * max_models; ++k) p.models.set(9 * sample * max_models + k, small::nan());
+    return;
+  }
   double models[10][9];
   int count = 1;
   switch (p.model) {
@@ -358,7 +379,7 @@ KV_HD void solve_minimal_sample(Minimal<T> const& p, int64_t sample) {
       count = essential(x, y, models);
       break;
     default:
-      count = fundamental(x, y, size, models);
+      count = eight_points(x, y, models[0]);
   }
   for (int c = 0; c < max_models; ++c) {
     double scale = 0;

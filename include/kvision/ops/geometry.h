@@ -127,13 +127,9 @@ inline constexpr Operator<"group_products", Tensor(Tensor left, Tensor right, Te
 
 inline constexpr Operator<"top_k_models", Two(Tensor models, Tensor scores, int64_t count, bool by_count)> top_k_models{
     non_differentiable};
-inline constexpr Operator<"consensus",
-                          Tensor(Tensor models, Tensor points1, Tensor points2, double threshold, int64_t model)>
+inline constexpr Operator<"consensus", Tensor(Tensor models, Tensor points1, Tensor points2, Tensor least,
+                                              Tensor thresholds, int64_t model)>
     consensus{non_differentiable};
-inline constexpr Operator<"merge_top_k", Three(Tensor models, Tensor scores, Tensor other_models, Tensor other_scores,
-                                               Tensor points1, Tensor points2, double threshold, double softness,
-                                               int64_t count, bool by_count, int64_t model)>
-    merge_top_k{non_differentiable};
 
 // --- geometry/solvers/dlt_op.cpp
 
@@ -166,6 +162,12 @@ inline constexpr Operator<"eigenvectors", Two(Tensor matrix)> eigenvectors{non_d
 
 inline constexpr Operator<"real_roots", Tensor(Tensor coefficients)> real_roots{detail::rules::real_roots};
 inline constexpr Operator<"first_root", Tensor(Tensor coefficients)> first_root{detail::rules::first_root};
+
+// --- geometry/solvers/two_view_fits_op.cpp
+
+inline constexpr Operator<"two_view_fits", Two(Tensor models, Tensor points1, Tensor points2, OptionalTensor weights,
+                                               Tensor reaches, int64_t rounds, int64_t model)>
+    two_view_fits{non_differentiable};
 
 // --- geometry/subpix/nms_op.cpp
 

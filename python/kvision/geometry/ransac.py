@@ -1,15 +1,16 @@
 """RANSAC: models of two views from correspondences with many outliers.
 
-A round draws minimal samples, solves for their models and scores each model by its inliers. That takes two operators,
-whatever the number of hypotheses. On a GPU one round has all hypotheses and the host reads nothing back. On the CPU,
-where reading is free, rounds are smaller and end as soon as the best model reaches the requested confidence.
-The best hypotheses are fitted to all correspondences by sigma-consensus++, those of all pairs of a batch at once.
+A round draws minimal samples of all pairs of a batch, solves for their models and scores each model by its inliers. That
+takes two operators, whatever the number of hypotheses. Rounds end as soon as the best model of every pair reaches the
+requested confidence, which the host reads once a round. The best hypotheses are fitted to all correspondences by
+sigma-consensus++, those of all pairs at once.
 """
 
 from __future__ import annotations
 
 import math
 import sys
+from functools import lru_cache
 from typing import Any, Literal, TypeAlias, get_args
 
 import torch
@@ -21,12 +22,11 @@ from kvision._ops import register
 from kvision.core.exceptions import ShapeError, ValueCheckError
 from kvision.geometry._normalization import to_unit_last
 from kvision.geometry._precision import in_full_precision
-from kvision.geometry._sigma_consensus import best_fits, consensus
-from kvision.geometry._two_view_fits import FITS, LINEAR_FITS, FundamentalFit, TwoViewFit
-from kvision.geometry.epipolar.distances import sampson_epipolar_distance
 from kvision.geometry.epipolar.essential import nearest_essential
-from kvision.geometry.homography.errors import line_segment_transfer_error_one_way, oneway_transfer_error
+from kvision.geometry.epipolar.projection import cross_product_matrix
 from kvision.geometry.solvers._minimal import SIZES, eight_points, minimal_solver
+from kvision.geometry.solvers._sigma_consensus import best_of, consensus
+from kvision.geometry.solvers._two_view_fits import LINEAR_FITS, squared_errors, two_view_fits
 
 __all__ = ["RANSAC"]
 
@@ -53,82 +53,61 @@ _MODELS: dict[ModelType, str] = {
     "fundamental_8pt": "fundamental8",
     "essential": "essential",
 }
-# Hypotheses that are fitted to their inliers; 24 of models of many points, of which few samples are right.
+# Hypotheses that are fitted: 16 of models of many points, of which few samples are right; `_FEW` where the confidence is reached.
 _REFINED = {"affine": 1, "homography": 1, "lines": 1}
+_KEPT, _FEW = 16, 8
 # The largest error that a fit uses, in thresholds. Distances from lines let more wrong correspondences in than those of points.
-_REACH = {"fundamental": 2.0, "fundamental8": 2.0, "essential": 2.0}
+# Where the confidence is not reached the first fits use `_WIDE`, because no sample may be of right correspondences alone.
+_REACH = {"fundamental": 1.5, "fundamental8": 1.5, "essential": 1.5}
+_WIDE = 4.0
 _BATCH = 2048  # hypotheses of one `max_iter` round for batch_size "auto"
+_FIRST = 2**14  # hypotheses of all pairs in the first round
+_SAMPLES = 2**18  # of all pairs in one round, which bounds the memory of their models
+_PAIRS = 512  # of points outside of a plane
+_CHUNK, _DEVIATIONS = 64, 2.0  # kChunk and kDeviations of csrc/geometry/ransac.h
 
 
-def _errors(models: Tensor, points1: Tensor, points2: Tensor, model: str) -> Tensor:
-    """Squared errors (M, N) of points (N, 2) or segments (N, 2, 2) for models (M, 3, 3)."""
+def _consensus_reference(
+    models: Tensor, points1: Tensor, points2: Tensor, least: Tensor, thresholds: Tensor, number: int
+) -> Tensor:
+    """Scores (B, M, 2) of models (B, M, 3, 3) for points (B, 2 or 4, N): sums of 1 - e / t^2 over inliers, inlier counts. After
+    every 64 points models are given up whose sum is too far below what one of sum `least` (B) has by then."""
+    model = MODEL_NAMES[number]
+    x, y = points1.mT, points2.mT
     if model == "lines":
-        error = line_segment_transfer_error_one_way(points1[None], points2[None], models, squared=True)
-        has_length = (points2[:, 0] != points2[:, 1]).any(-1)
-        return torch.where(has_length, error, torch.inf)
-    if model in ("affine", "homography"):
-        return oneway_transfer_error(points1[None], points2[None], models)
-    return sampson_epipolar_distance(points1[None], points2[None], models)
-
-
-def _consensus_reference(models: Tensor, points1: Tensor, points2: Tensor, threshold: float, model: int) -> Tensor:
-    """Scores (M, 2) of models (M, 3, 3) for points (2 or 4, N): sums of 1 - e / t^2 over inliers, inlier counts."""
-    errors = _errors(models, *_points(points1, points2, model), MODEL_NAMES[model])
-    inliers = errors <= threshold**2
-    gains = torch.where(inliers, 1 - errors / threshold**2, 0)
-    return torch.stack([gains.sum(-1), inliers.sum(-1).to(gains.dtype)], -1)
-
-
-def _merge_top_k_reference(
-    models: Tensor,
-    scores: Tensor,
-    other_models: Tensor,
-    other_scores: Tensor,
-    points1: Tensor,
-    points2: Tensor,
-    threshold: float,
-    softness: float,
-    count: int,
-    by_count: bool,
-    model: int,
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Merge two lists of models into the `count` best by score; the first of equal ones wins. Returns models, their
-    scores and weights (count, N) of correspondences: 1 / (1 + softness e) for inliers, 0 for outliers."""
-    models, scores = torch.cat([models, other_models]), torch.cat([scores, other_scores])
-    order = scores[:, int(by_count)].argsort(descending=True, stable=True)[:count]
-    models, scores = models[order], scores[order]
-    errors = _errors(models, *_points(points1, points2, model), MODEL_NAMES[model])
-    return models, scores, torch.where(errors <= threshold**2, 1 / (1 + softness * errors), 0)
+        x, y = x.unflatten(-1, (2, 2)), y.unflatten(-1, (2, 2))
+    errors = squared_errors(models, x, y, model)
+    squares = thresholds.square()[:, None, None]
+    inliers = errors <= squares
+    gains = torch.stack([torch.where(inliers, 1 - errors / squares, 0), inliers.to(errors.dtype)], -1)
+    seen = torch.arange(_CHUNK, errors.shape[-1] + 1, _CHUNK, device=errors.device)
+    if not len(seen):
+        return gains.sum(-2)
+    sums = gains.cumsum(-2)[..., seen - 1, :]
+    mean = least[:, None] * (seen / errors.shape[-1])
+    is_given_up = sums[..., 0] < (mean - _DEVIATIONS * mean.sqrt())[:, None]
+    first = is_given_up.to(torch.uint8).argmax(-1, keepdim=True)[..., None].expand(*models.shape[:2], 1, 2)
+    return torch.where(is_given_up.any(-1, keepdim=True), sums.gather(2, first)[:, :, 0], gains.sum(-2))
 
 
 def _top_k_models_reference(models: Tensor, scores: Tensor, count: int, by_count: bool) -> tuple[Tensor, Tensor]:
-    """The `count` models with the best scores, and these scores. The first of equal ones wins."""
-    order = scores[:, int(by_count)].argsort(descending=True, stable=True)[:count]
-    return models[order], scores[order]
-
-
-def _points(points1: Tensor, points2: Tensor, model: int) -> tuple[Tensor, Tensor]:
-    shape = (-1, 2, 2) if model == MODEL["lines"] else (-1, 2)
-    return points1.T.reshape(shape), points2.T.reshape(shape)
-
-
-def _merge_top_k_sizes(
-    models: Tensor, scores: Tensor, other_models: Tensor, other_scores: Tensor, points1: Tensor, *options: Any
-) -> list[tuple[int, ...]]:
-    top_k = min(options[3], models.shape[0] + other_models.shape[0])
-    return [(top_k, 3, 3), (top_k, 2), (top_k, points1.shape[1])]
+    """The `count` models of (B, M, 3, 3) with the best scores (B, M, 2), and these scores. The first of equal ones wins."""
+    order = scores[..., int(by_count)].argsort(dim=1, descending=True, stable=True)[:, :count]
+    row = torch.arange(len(models), device=models.device)[:, None]
+    return models[row, order], scores[row, order]
 
 
 _consensus = register(
-    "consensus", _consensus_reference, fake=lambda models, *args: (models.shape[0], 2), non_differentiable=(0,)
+    "consensus", _consensus_reference, fake=lambda models, *args: (*models.shape[:2], 2), non_differentiable=(0,)
 )
 _top_k_models = register(
     "top_k_models",
     _top_k_models_reference,
-    fake=lambda models, scores, count, *options: [(min(count, len(models)), *size) for size in ((3, 3), (2,))],
+    fake=lambda models, scores, count, *options: [
+        x.new_empty(len(x), min(count, x.shape[1]), *x.shape[2:]) for x in (models, scores)
+    ],
     non_differentiable=(0, 1),
 )
-_merge_top_k = register("merge_top_k", _merge_top_k_reference, fake=_merge_top_k_sizes, non_differentiable=(0, 1, 2))
 
 
 class RANSAC(nn.Module):
@@ -141,8 +120,8 @@ class RANSAC(nn.Module):
             it should, the ends of a segment from the other's line on average, Sampson's distance for the other_models.
         batch_size: hypotheses of one round, or "auto".
         max_iter: rounds of `batch_size` hypotheses, 2048 for "auto".
-        confidence: probability, in (0, 1], that no better model is missed when rounds end early; 1 never ends early. On a GPU
-            all hypotheses are tried, because ending early would synchronize with the host.
+        confidence: probability, in (0, 1], that no better model is missed when rounds end early; 1 never ends early, and on a GPU
+            does not synchronize with the host.
         max_lo_iters: the most fits of the best hypotheses by sigma-consensus++.
         score_type: what ranks hypotheses before they are fitted: "msac", the sum of 1 - e^2 / inl_th^2 over inliers, or "ransac",
             their number. Fits are ranked by the loss of MAGSAC++.
@@ -152,7 +131,8 @@ class RANSAC(nn.Module):
         max_samples: total number of hypotheses, instead of `batch_size * max_iter`.
         local_optimization: "lm" or "dlt"; no effect, since there is one method.
         refine_iters: the most further fits of the best model, after as many as `max_lo_iters`.
-        degensac: False or None; a search outside of dominant planes does not exist.
+        degensac: True, for "fundamental" and "fundamental_7pt": further hypotheses of the homography of most points and two points
+            outside of its plane, for scenes of which most is a plane; None is False.
         compile: no effect.
 
     Raises:
@@ -160,7 +140,8 @@ class RANSAC(nn.Module):
         ValueCheckError: an unknown name, or a number out of range.
 
     Source: P. Torr and A. Zisserman, "MLESAC" (2000); D. Barath et al., "MAGSAC++" (2020); W. Chojnacki et al., "On the fitting of
-    surfaces to data with covariances" (2000); O. Chum and J. Matas, "Matching with PROSAC" (2005).
+    surfaces to data with covariances" (2000); O. Chum and J. Matas, "Matching with PROSAC" (2005); O. Chum, T. Werner, J. Matas,
+    "Two-view geometry estimation unaffected by a dominant plane" (2005).
 
     Example:
         >>> import torch, kvision as K
@@ -201,8 +182,10 @@ class RANSAC(nn.Module):
             _check.ints("RANSAC", "batch_size", batch_size, 1)
         if not 0 < _check.number("RANSAC", "confidence", confidence) <= 1:
             raise ValueCheckError(f"RANSAC: expected confidence above 0 and up to 1, got {confidence!r}")
-        if _check.switch("RANSAC", "degensac", degensac):
-            raise ValueCheckError("RANSAC: degensac must be one of False, None; got True", actual_value=degensac)
+        if _check.switch("RANSAC", "degensac", degensac) and _MODELS[model_type] != "fundamental":
+            raise ValueCheckError(
+                f"RANSAC: expected degensac False or None for {model_type!r}, got True", actual_value=degensac
+            )
         _check.ints("RANSAC", "max_iter", max_iter, 1)
         _check.ints("RANSAC", "max_lo_iters", max_lo_iters, 1, minimum=0)
         _check.ints("RANSAC", "refine_iters", refine_iters, 1, minimum=0)
@@ -241,20 +224,13 @@ class RANSAC(nn.Module):
         if self.batch_size != "auto":
             return int(self.batch_size)
         if device.type != "cpu":
-            return self.sample_budget
-        # Rounds take similar time. Models with few points are faster to solve, so their rounds have more hypotheses.
-        first = {"fundamental": 128, "fundamental8": 128}
-        return min(self.sample_budget, first.get(self.model, 64))
+            return min(self.sample_budget, 1024)
+        return min(self.sample_budget, 64 if self.model == "essential" else 128)  # which take long to solve
 
     @staticmethod
     def max_samples_by_conf(n_inl: int, num_tc: int, sample_size: int, conf: float) -> int:
         """The number of samples among which one has only inliers, `n_inl` of `num_tc`, with probability `conf`."""
-        if n_inl < sample_size or num_tc < sample_size or conf >= 1:
-            return sys.maxsize
-        good = math.prod((n_inl - i) / (num_tc - i) for i in range(sample_size))
-        if good >= 1 or conf <= 0:
-            return 1
-        return math.ceil(math.log1p(-conf) / math.log1p(-good))
+        return _required_samples(n_inl, num_tc, sample_size, conf)
 
     def validate_inputs(self, kp1: Tensor, kp2: Tensor, weights: Tensor | None = None) -> None:
         """Raise unless `forward` takes these arguments."""
@@ -275,15 +251,25 @@ class RANSAC(nn.Module):
                 actual_shape=kp1.shape,
             )
 
-    def forward(self, kp1: Tensor, kp2: Tensor, weights: Tensor | None = None) -> tuple[Tensor, Tensor]:
+    def forward(
+        self,
+        kp1: Tensor,
+        kp2: Tensor,
+        weights: Tensor | None = None,
+        K1: Tensor | None = None,
+        K2: Tensor | None = None,
+    ) -> tuple[Tensor, Tensor]:
         """Find the model of correspondences, or the models of a batch of pairs.
 
         Args:
             kp1: points of the first image, (N, 2) or (B, N, 2) as (x, y), floating point; line segments (N, 2, 2) or (B, N, 2, 2)
-                for "homography_from_linesegments"; in the camera's coordinates for "essential".
+                for "homography_from_linesegments"; for "essential" in the camera's coordinates, or in pixels with `K1`.
             kp2: the corresponding points of the second image, in the same shape.
             weights: of the squared errors of correspondences, at least 0, (N,) or (B, N); None for 1. Correspondences of weight 0
                 do not exist, so pairs of a batch may have different numbers of them.
+            K1: for "essential", camera matrices (3, 3) or (B, 3, 3) of the first images. Points and `inl_th` are then in pixels;
+                the mean of the focal lengths converts `inl_th`.
+            K2: those of the second images; None for `K1`.
 
         Returns:
             The model (3, 3) or (B, 3, 3) and its inliers, bool (N,) or (B, N). Zeros and no inliers where no model has more inliers
@@ -294,32 +280,63 @@ class RANSAC(nn.Module):
             TypeCheckError: an argument is not a floating-point tensor.
             ShapeError: shapes differ from the ones above, or there are too few points.
             DeviceError: the tensors are on different devices.
+            ValueCheckError: camera matrices for another model, or `K2` without `K1`.
         """
         self.validate_inputs(kp1, kp2, weights)
         is_one = kp1.dim() == (3 if self.model == "lines" else 2)
         if is_one:
             kp1, kp2, weights = kp1[None], kp2[None], None if weights is None else weights[None]
-        model, inliers = self._estimate(kp1, kp2, weights)
+        cameras = None if K1 is None and K2 is None else self._cameras(kp1, K1, K2)
+        model, inliers = self._estimate(kp1, kp2, weights, cameras)
         return (model[0], inliers[0]) if is_one else (model, inliers)
 
+    def _cameras(self, kp1: Tensor, K1: Tensor | None, K2: Tensor | None) -> tuple[Tensor, Tensor]:
+        """Both camera matrices (B or 1, 3, 3), checked."""
+        if self.model != "essential":
+            raise ValueCheckError(
+                f"RANSAC: expected no K1 and K2 for {self.model_type!r}, whose points are in any unit"
+            )
+        if K1 is None:
+            raise ValueCheckError("RANSAC: expected K1 where there is K2")
+        cameras = []
+        for name, M in (("K1", K1), ("K2", K1 if K2 is None else K2)):
+            _check.floating_trailing_shape("RANSAC", name, M, 3, 3)
+            if M.dim() != 2 and tuple(M.shape) not in ((len(kp1), 3, 3), (1, 3, 3)):
+                raise ShapeError(
+                    f"RANSAC: expected {name} of shape (3, 3) or ({len(kp1)}, 3, 3), got {tuple(M.shape)}",
+                    actual_shape=M.shape,
+                )
+            _check.same_device("RANSAC", kp1=kp1, **{name: M})
+            cameras.append(M.reshape(-1, 3, 3))
+        return cameras[0], cameras[1]
+
     @in_full_precision
-    def _estimate(self, kp1: Tensor, kp2: Tensor, weights: Tensor | None) -> tuple[Tensor, Tensor]:
+    def _estimate(
+        self, kp1: Tensor, kp2: Tensor, weights: Tensor | None, cameras: tuple[Tensor, Tensor] | None
+    ) -> tuple[Tensor, Tensor]:
+        thresholds = kp1.new_full((len(kp1),), self.inl_th)
+        if cameras is not None:
+            focals = torch.cat([K.diagonal(dim1=1, dim2=2)[:, :2].expand(len(kp1), -1) for K in cameras], 1)
+            thresholds = thresholds / focals.detach().mean(1)
+            kp1, kp2 = (_in_camera(points, K) for points, K in zip((kp1, kp2), cameras))
         with torch.no_grad():
             x, y = kp1.detach(), kp2.detach()
             w = None if weights is None else weights.detach()
-            generator = None if self.seed is None else torch.Generator(kp1.device).manual_seed(self.seed)
-            each = [self._searched(x[b], y[b], None if w is None else w[b] > 0, generator) for b in range(len(x))]
-            models = torch.stack(each) if each else x.new_empty(0, 1, 3, 3)
-            model, errors = self._refined(models, x, y, w)
-            exists = torch.ones_like(errors, dtype=torch.bool) if w is None else w > 0
-            inliers = (errors <= self.inl_th**2) & exists
+            exists = None if w is None else w > 0
+            if exists is not None:
+                x, y = (torch.where(exists.view(*exists.shape, *(1,) * (p.dim() - 2)), p, torch.nan) for p in (x, y))
+            model = self._best_models(x, y, exists, w, thresholds)
+            errors = squared_errors(model[:, None], x.double(), y.double(), self.model)[:, 0]
+            inliers = errors <= thresholds.double().square()[:, None]
+            inliers = inliers if exists is None else inliers & exists
             # Inliers of a sample alone say nothing for its model, but where these are all correspondences.
-            least = (exists.sum(1, keepdim=True) - 1).clamp(max=self.minimal_sample_size)
-            has_consensus = (inliers.sum(1, keepdim=True) > least) & model.isfinite().flatten(1).all(1)[:, None]
+            size = self.minimal_sample_size
+            least = min(x.shape[1] - 1, size) if exists is None else (exists.sum(1, keepdim=True) - 1).clamp(max=size)
+            has_consensus = inliers.sum(1, keepdim=True) > least
             inliers = inliers & has_consensus
             model = torch.where(has_consensus[..., None], self._scaled(model), 0).to(kp1.dtype)
         if torch.is_grad_enabled() and any(t is not None and t.requires_grad for t in (kp1, kp2, weights)):
-            model = self._with_gradient(model, errors, inliers, kp1, kp2, weights)
+            model = self._with_gradient(model, errors, inliers, kp1, kp2, weights, thresholds)
         return model, inliers
 
     def _scaled(self, models: Tensor) -> Tensor:
@@ -327,86 +344,139 @@ class RANSAC(nn.Module):
             return models / torch.linalg.vector_norm(models, dim=(-2, -1), keepdim=True)
         return to_unit_last(models)
 
-    def _searched(self, kp1: Tensor, kp2: Tensor, exists: Tensor | None, generator: torch.Generator | None) -> Tensor:
-        """The best hypotheses (K, 3, 3) for one pair; NaN where there are fewer. On a GPU the host waits for nothing."""
-        population: int | Tensor = len(kp1)
-        is_readable = kp1.device.type == "cpu"
-        if exists is not None and is_readable:
-            kp1, kp2 = kp1[exists], kp2[exists]
-            population = len(kp1)
-        elif exists is not None:  # others come last, and no error below is that of a NaN
-            order = exists.to(torch.uint8).argsort(descending=True, stable=True)
-            shape = (-1, *(1,) * (kp1.dim() - 1))
-            kp1, kp2 = (torch.where(exists.view(shape), p, torch.nan)[order] for p in (kp1, kp2))
-            population = exists.sum()
-        kept = _REFINED.get(self.model, 24)
-        if len(kp1) < self.minimal_sample_size:
-            return kp1.new_full((1, 3, 3), torch.nan)
-        points = kp1.flatten(1)[None], kp2.flatten(1)[None]
-        rows = points[0][0].T.contiguous(), points[1][0].T.contiguous()
-        batch = self.resolve_batch_size(len(kp1), kp1.device)
-        by_count, number = self.score_type == "ransac", MODEL[self.model]
-        models, scores = kp1.new_empty(0, 3, 3), kp1.new_empty(0, 2)
+    def _best_models(
+        self, x: Tensor, y: Tensor, exists: Tensor | None, weights: Tensor | None, thresholds: Tensor
+    ) -> Tensor:
+        """The best models (B, 3, 3) in double: hypotheses, fits near all of them and then near the best one."""
+        if not len(x):
+            return x.new_empty(0, 3, 3, dtype=torch.float64)
+        # Scores give models up after some of the points, which therefore come in an order without meaning.
+        order = torch.arange(x.shape[1], device=x.device) * _stride(x.shape[1]) % x.shape[1]
+        rows1, rows2 = (p.flatten(2).mT[:, :, order] for p in (x, y))
+        points1, points2 = rows1.double(), rows2.double()
+        w = None if weights is None else weights.double()[:, order]
+        reaches = self._reaches(thresholds).double()
 
-        def merged(candidates: Tensor, limit: int) -> tuple[Tensor, Tensor]:
-            others = candidates, _consensus(candidates, *rows, self.inl_th, number)
-            top = _top_k_models(*others, limit, by_count)
-            if not len(models):
-                return top
-            return _merge_top_k(*top, models, scores, *rows, self.inl_th, 0.0, limit, by_count, number)[:2]
+        def fits(models: Tensor, w: Tensor | None, rounds: int, wide: bool = False) -> tuple[Tensor, Tensor]:
+            reach = _WIDE * thresholds.double() if wide else reaches
+            return two_view_fits(models.double(), points1, points2, w, reach, rounds, self.model)
 
-        num_drawn, num_required, best = 0, self.sample_budget, 0.0
-        fit: TwoViewFit | None = None
-        while num_drawn < num_required:
-            count = min(batch, self.sample_budget - num_drawn)
-            draws = self._draws(count, len(kp1), population, num_drawn, kp1, generator)
-            models, scores = merged(minimal_solver(*points, draws, self.model).flatten(0, 1), kept)
-            num_drawn += count
-            batch = min(2 * batch, 2048) if self.batch_size == "auto" else batch
-            if not is_readable:
-                continue
-            num_required = self._required(scores, len(kp1))
-            if num_drawn < num_required and float(scores[0, int(by_count)]) > best and self.max_lo_iters:
-                fit = self._fit(kp1[None], kp2[None], None) if fit is None else fit
-                improved, _ = best_fits(models[None, :1].double(), fit.errors, fit, self._reach, 2)
-                models, scores = merged(improved.to(kp1.dtype), kept)
-                num_required = self._required(scores, len(kp1))
-                best = float(scores[0, int(by_count)])
-        if is_readable and num_drawn < self.sample_budget:
-            return models[:1]  # what was found early is found often: one hypothesis stands for all
-        if is_readable:
-            fit = self._fit(kp1[None], kp2[None], None) if fit is None else fit
-            return best_fits(models[None].double(), fit.errors, fit, self._reach, self.max_lo_iters)[0].to(kp1.dtype)
-        missing = kept - len(models)
-        return models if missing <= 0 else torch.cat([models, models.new_full((missing, 3, 3), torch.nan)])
-
-    def _required(self, scores: Tensor, count: int) -> int:
-        """The number of samples after which the best model so far has the requested confidence."""
-        num_confident = self.max_samples_by_conf(int(scores[0, 1]), count, self.minimal_sample_size, self.confidence)
-        return min(self.sample_budget, num_confident)
-
-    @property
-    def _reach(self) -> float:
-        """The largest error of a correspondence that a fit uses."""
-        return self.inl_th * _REACH.get(self.model, 4.0)
-
-    def _fit(self, kp1: Tensor, kp2: Tensor, exists: Tensor | None) -> TwoViewFit:
-        return FITS.get(self.model, FundamentalFit)(kp1, kp2, exists)
-
-    def _refined(self, models: Tensor, kp1: Tensor, kp2: Tensor, weights: Tensor | None) -> tuple[Tensor, Tensor]:
-        """The best (B, 3, 3) of models (B, K, 3, 3) after fits near all of them and then near the best one, and its errors."""
-        fit = self._fit(kp1, kp2, None if weights is None else weights > 0)
-        models = models.double()
+        models = self._hypotheses(x, y, (rows1, rows2), exists, thresholds, fits)
         if models.shape[1] > 1:
-            models = best_fits(models, fit.errors, fit, self._reach, self.max_lo_iters, weights)[0][:, None]
-        return best_fits(models, fit.errors, fit, self._reach, self.max_lo_iters + self.refine_iters, weights)
+            if models.shape[1] > _FEW:
+                models = fits(models, w, self.max_lo_iters, wide=True)[0]
+            models = best_of(*fits(models, w, self.max_lo_iters))[:, None]
+        return fits(models, w, self.max_lo_iters + self.refine_iters)[0][:, 0]
+
+    def _reaches(self, thresholds: Tensor) -> Tensor:
+        """The largest errors of correspondences that fits use."""
+        return thresholds * _REACH.get(self.model, _WIDE)
+
+    def _hypotheses(
+        self, x: Tensor, y: Tensor, rows: tuple[Tensor, Tensor], exists: Tensor | None, thresholds: Tensor, fits: Any
+    ) -> Tensor:
+        """The best hypotheses (B, K, 3, 3) of pairs. Rounds end when the best of every pair has the requested confidence."""
+        batch, num_points = x.shape[:2]
+        counts: list[int] | None = None
+        if self.confidence < 1 or x.is_cpu:
+            counts = [num_points] * batch if exists is None else exists.sum(1).tolist()
+        population = x.new_full((batch,), num_points) if exists is None else exists.sum(1).to(x.dtype)
+        pairs = x, y
+        if exists is not None:  # the others last
+            first = exists.to(torch.uint8).argsort(dim=1, descending=True, stable=True)
+            x, y = (p.gather(1, first.view(*first.shape, *(1,) * (p.dim() - 2)).expand_as(p)) for p in (x, y))
+        x, y = x.flatten(2), y.flatten(2)
+        generator = None if self.seed is None else torch.Generator(x.device).manual_seed(self.seed)
+        kept, by_count, number = _REFINED.get(self.model, _KEPT), self.score_type == "ransac", MODEL[self.model]
+        models, scores = x.new_empty(batch, 0, 3, 3), x.new_empty(batch, 0, 2)
+        none = x.new_zeros(batch)
+
+        def merged(candidates: Tensor) -> tuple[Tensor, Tensor]:
+            is_full = scores.shape[1] == kept and not by_count
+            # Of no use are models that would not be kept, nor those of half the best sum.
+            least = torch.maximum(scores[:, -1, 0], scores[:, 0, 0] / 2) if is_full else none
+            others = _consensus(candidates, *rows, least, thresholds, number)
+            top = _top_k_models(candidates, others, kept, by_count)
+            if not models.shape[1]:
+                return top
+            return _top_k_models(torch.cat([top[0], models], 1), torch.cat([top[1], scores], 1), kept, by_count)
+
+        most = max(_SAMPLES // batch, 64)
+        size = min(self.resolve_batch_size(num_points, x.device), most)
+        if self.batch_size == "auto":  # of many pairs few each, whose best score lets later rounds give models up
+            size = min(size, max(_FIRST // batch, 64))
+        num_drawn, best = 0, [0.0] * batch
+        while True:
+            count = min(size, self.sample_budget - num_drawn)
+            draws = self._draws(count, num_points, population, num_drawn, generator)
+            models, scores = merged(minimal_solver(x, y, draws, self.model).view(batch, -1, 3, 3))
+            num_drawn += count
+            required, top = self._required(scores, counts)
+            rises = counts is None or any(t > b for t, b in zip(top, best))
+            if num_drawn < max(required) and self.max_lo_iters and rises:
+                models, scores = merged(fits(models[:, :1], None, 2)[0].to(x.dtype))
+                required, best = self._required(scores, counts)
+            if num_drawn >= max(required):
+                break
+            if num_drawn >= min(required):  # pairs that have their model draw no samples
+                is_open = torch.tensor([num_drawn < r for r in required], device=x.device)
+                population = torch.where(is_open, population, 0)
+            size = min(4 * size, most) if self.batch_size == "auto" else size
+            size = min(size, max(required) - num_drawn)
+        if self.degensac:
+            models, scores = merged(self._off_plane(*pairs, exists, generator))
+            return models
+        # What was found early is found often: few hypotheses stand for all.
+        is_early = [r < self.sample_budget for r in required]
+        if all(is_early):
+            return models[:, :_FEW]
+        others = models[:, _FEW:].masked_fill(torch.tensor(is_early, device=x.device)[:, None, None, None], torch.nan)
+        return torch.cat([models[:, :_FEW], others], 1) if any(is_early) else models
+
+    def _off_plane(self, x: Tensor, y: Tensor, exists: Tensor | None, generator: torch.Generator | None) -> Tensor:
+        """Fundamental matrices (B, S, 3, 3): of the plane that most correspondences are in, and pairs of those outside of it."""
+        plane = RANSAC("homography", self.inl_th, confidence=self.confidence, seed=self.seed, max_samples=_BATCH)
+        weights = None if exists is None else exists.to(x.dtype)
+        H, is_in_plane = plane(x, y, weights)
+        is_outside = ~is_in_plane if exists is None else ~is_in_plane & exists
+        order = is_outside.to(torch.uint8).argsort(dim=1, descending=True, stable=True)
+        count = is_outside.sum(1)[:, None]
+        draws = torch.rand(len(x), 2, _PAIRS, device=x.device, generator=generator)
+        first = (draws[:, 0] * count).long().clamp(max=x.shape[1] - 1)
+        second = (draws[:, 1] * (count - 1)).long().clamp(0, x.shape[1] - 2)
+        chosen = order.gather(1, torch.cat([first, second + (second >= first)], 1))[..., None].expand(-1, -1, 2)
+        a, b = (torch.nn.functional.pad(p.gather(1, chosen), (0, 1), value=1.0) for p in (x, y))
+        one, two = torch.linalg.cross(a @ H.mT, b).chunk(2, 1)  # lines through the epipole
+        F = cross_product_matrix(torch.linalg.cross(one, two)) @ H[:, None]
+        F = F / torch.linalg.vector_norm(F, dim=(-2, -1), keepdim=True)
+        return torch.where((count > 1)[..., None, None], F, torch.nan)
+
+    def _required(self, scores: Tensor, counts: list[int] | None) -> tuple[list[int], list[float]]:
+        """The numbers of samples after which the best models so far have the requested confidence; and what ranks these models.
+        Without `counts` of correspondences all samples are, and the host reads nothing."""
+        size, budget = self.minimal_sample_size, self.sample_budget
+        if counts is None:
+            return [budget] * len(scores), []
+        top = scores[:, 0].tolist()
+        required = [
+            0 if n < size else min(_required_samples(int(t[1]), n, size, self.confidence), budget)
+            for t, n in zip(top, counts)
+        ]
+        return required, [t[self.score_type == "ransac"] for t in top]
 
     def _with_gradient(
-        self, model: Tensor, errors: Tensor, inliers: Tensor, kp1: Tensor, kp2: Tensor, weights: Tensor | None
+        self,
+        model: Tensor,
+        errors: Tensor,
+        inliers: Tensor,
+        kp1: Tensor,
+        kp2: Tensor,
+        weights: Tensor | None,
+        thresholds: Tensor,
     ) -> Tensor:
         """The model with the gradient of the weighted linear least squares of what it was fitted to."""
         has_model = inliers.any(1)
-        w = consensus(torch.where(has_model[:, None], errors, 0), self._reach)[0].to(kp1.dtype)
+        w = consensus(torch.where(has_model[:, None], errors, 0), self._reaches(thresholds)[:, None])[0].to(kp1.dtype)
         kp1, kp2 = kp1.nan_to_num(0.0, 0.0, 0.0), kp2.nan_to_num(0.0, 0.0, 0.0)  # of weight 0
         fitted = self._scaled(self._fitted(kp1, kp2, w if weights is None else w * weights))
         if self.model == "essential":
@@ -415,27 +485,23 @@ class RANSAC(nn.Module):
         return torch.where(has_model[:, None, None], valued, model)
 
     def _draws(
-        self,
-        count: int,
-        num_points: int,
-        population: int | Tensor,
-        num_drawn: int,
-        like: Tensor,
-        generator: torch.Generator | None,
+        self, count: int, num_points: int, population: Tensor, num_drawn: int, generator: torch.Generator | None
     ) -> Tensor:
-        """Draw samples (count, m + 1): m random numbers, then how many of the first points they choose from."""
-        size = self.minimal_sample_size
-        shape = (count, size + 1)
-        draws = torch.rand(shape, device=like.device, dtype=torch.float32, generator=generator)
-        draws[:, size] = population
+        """Draw samples (B * count, m + 1): m random numbers, then how many of the first points they choose from, at most
+        `population` (B); none for pairs of 0."""
+        size, device = self.minimal_sample_size, population.device
+        draws = torch.rand(len(population), count, size + 1, device=device, dtype=torch.float32, generator=generator)
+        draws[..., size] = population[:, None]
         if self.prosac_sampling:
-            ends = torch.tensor(_growth(size, num_points, self.sample_budget), device=like.device)
-            number = torch.arange(num_drawn + 1, num_drawn + count + 1, device=like.device)
-            first = (torch.searchsorted(ends, number) + size).clamp(max=population)
-            draws[:, size] = first
+            ends = torch.tensor(_growth(size, num_points, self.sample_budget), device=device)
+            number = torch.arange(num_drawn + 1, num_drawn + count + 1, device=device)
+            first = (torch.searchsorted(ends, number) + size).to(population.dtype)
+            draws[..., size] = torch.minimum(first, population[:, None])
             takes_newest = number <= ends[-1]
-            draws[:, size - 1] = torch.where(takes_newest, 1 - 2.0**-24, draws[:, size - 1])  # chooses the newest point
-        return draws
+            draws[..., size - 1] = torch.where(
+                takes_newest, 1 - 2.0**-24, draws[..., size - 1]
+            )  # chooses the newest point
+        return draws.flatten(0, 1)
 
     def _fitted(self, kp1: Tensor, kp2: Tensor, weights: Tensor) -> Tensor:
         """Linear least squares (B, 3, 3) of points (B, N, ...) for weights (B, N)."""
@@ -476,7 +542,7 @@ class RANSAC(nn.Module):
 
     def verify(self, kp1: Tensor, kp2: Tensor, models: Tensor, inl_th: float) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """The best of models (M, 3, 3) for a squared threshold, its inliers, its score and their number."""
-        errors = _errors(models, kp1, kp2, self.model)
+        errors = squared_errors(models[None], kp1[None], kp2[None], self.model)[0]
         inliers = errors <= inl_th
         counts = inliers.sum(-1)
         gains = torch.where(inliers, 1 - errors / inl_th, 0).sum(-1)
@@ -487,6 +553,31 @@ class RANSAC(nn.Module):
     def polish_model(self, kp1: Tensor, kp2: Tensor, inliers: Tensor) -> Tensor:
         """The least-squares model (1, 3, 3) of the inliers."""
         return self._fitted(kp1[None], kp2[None], inliers[None].to(kp1.dtype))
+
+
+@lru_cache(4096)  # pairs of a batch ask for the same numbers again and again
+def _required_samples(num_inliers: int, count: int, size: int, confidence: float) -> int:
+    if num_inliers < size or count < size or confidence >= 1:
+        return sys.maxsize
+    good = math.prod((num_inliers - i) / (count - i) for i in range(size))
+    if good >= 1 or confidence <= 0:
+        return 1
+    return math.ceil(math.log1p(-confidence) / math.log1p(-good))
+
+
+def _in_camera(points: Tensor, K: Tensor) -> Tensor:
+    """Pixels (B, N, 2) in the coordinates of cameras of matrices (B or 1, 3, 3)."""
+    x, y = (points - K[:, None, :2, 2]).unbind(-1)
+    y = y / K[:, None, 1, 1]
+    return torch.stack([(x - K[:, None, 0, 1] * y) / K[:, None, 0, 0], y], -1)
+
+
+def _stride(count: int) -> int:
+    """A number without common divisors with `count`, near its golden section: its multiples visit all numbers below `count`."""
+    stride = max(int(0.618 * count), 1)
+    while math.gcd(stride, count) > 1:
+        stride += 1
+    return stride
 
 
 def _growth(size: int, population: int, budget: int) -> list[int]:

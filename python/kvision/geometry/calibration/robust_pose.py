@@ -11,7 +11,6 @@ from torch import Tensor
 from kvision import _check
 from kvision._ops import register
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
-from kvision.geometry._sigma_consensus import Errors, Fit, best_fits, consensus
 from kvision.geometry.calibration.alignment import check_pairs, kabsch, umeyama
 from kvision.geometry.calibration.camera import poses_where
 from kvision.geometry.calibration.p3p import poses_of_triangles
@@ -21,6 +20,7 @@ from kvision.geometry.conversions.rotations import quaternion_to_rotation_matrix
 from kvision.geometry.liegroup import Se3, Sim3
 from kvision.geometry.optim import ReprojectionError, least_squares
 from kvision.geometry.optim.reprojection import fit_poses
+from kvision.geometry.solvers._sigma_consensus import Errors, Fit, consensus, rising_fits
 
 __all__ = ["kabsch_ransac", "solve_pnp_ransac", "umeyama_ransac"]
 
@@ -314,5 +314,8 @@ def _estimated(
     reach = _REACH * threshold
     best = consensus(of_existing(hypotheses), threshold)[1].sum(-1).argmax(1)
     start = hypotheses[torch.arange(len(best), device=best.device), best][:, None]
-    model, e = best_fits(start, of_existing, lambda P, w: fit(P, w).to(P.dtype).nan_to_num(0.0), reach, _ROUNDS)
+    fitted, _, squares = rising_fits(
+        start, of_existing, lambda P, w: fit(P, w).to(P.dtype).nan_to_num(0.0), reach, _ROUNDS
+    )
+    model, e = fitted[:, 0], squares[:, 0]
     return model, consensus(e, reach)[0].to(model.dtype), e <= threshold**2

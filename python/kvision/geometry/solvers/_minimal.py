@@ -37,13 +37,16 @@ SIZES = {
 def _reference(points1: Tensor, points2: Tensor, draws: Tensor | None, number: int) -> Tensor:
     """Models (S, candidates, 3, 3) of norm 1; affine maps are not scaled. Missing candidates are NaN.
 
-    Takes samples (S, m, 2), or (S, m, 4) for line segments. Or takes points (1, N, ...) and `draws` (S, m + 1): a row has
-    m numbers in [0, 1) that choose from the first points, and last how many points these are.
+    Takes samples (S, m, 2), or (S, m, 4) for line segments. Or takes points (B, N, ...) and `draws` (S, m + 1), S / B in turn
+    for each pair: a row has m numbers in [0, 1) that choose from the first points, and last how many points these are. Too few
+    have no model.
     """
     model = MODEL_NAMES[number]
     if draws is not None:
         chosen = _distinct(draws, points1.shape[1])
-        points1, points2 = points1[0][chosen], points2[0][chosen]
+        pair = torch.arange(len(draws), device=draws.device) // max(len(draws) // max(len(points1), 1), 1)
+        has_sample = (draws[:, -1:] >= chosen.shape[1])[..., None]
+        points1, points2 = (torch.where(has_sample, p[pair[:, None], chosen], torch.nan) for p in (points1, points2))
     if model == "affine":
         return find_affine(points1, points2)[:, None]
     if model == "homography":

@@ -10,17 +10,19 @@ Source: K. Kanatani, Y. Sugaya, Y. Kanazawa, "Guide to 3D Vision Computation" (2
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
+from typing import Any
 
 import torch
 from torch import Tensor
 
+from kvision._modes import MODEL, MODEL_NAMES
+from kvision._ops import register
 from kvision.geometry._correspondence_errors import correspondence_errors
 from kvision.geometry._normalization import normalized
-from kvision.geometry.epipolar.essential import nearest_essential
 from kvision.geometry.homography.dlt import homography_of, of_lines
 from kvision.geometry.linalg import adjugate
 from kvision.geometry.solvers._minimal import epipolar_rows
+from kvision.geometry.solvers._sigma_consensus import rising_fits
 from kvision.geometry.solvers.affine import affine_of
 from kvision.geometry.solvers.null_vector import eigenvectors
 
@@ -34,23 +36,29 @@ _GENERATORS = (
 )
 
 
+def squared_errors(models: Tensor, x: Tensor, y: Tensor, model: str) -> Tensor:
+    """Squared errors (B, K, N) of points (B, N, 2), or segments (B, N, 2, 2), for models (B, K, 3, 3)."""
+    count = models.shape[1]
+    has_length = (y[..., 0, :] != y[..., 1, :]).any(-1)[:, None] if model == "lines" else None
+    if len(models) != 1 and count != 1:
+        x, y = (p[:, None].expand(-1, count, *p.shape[1:]).flatten(0, 1) for p in (x, y))
+    kind = {"affine": "transfer", "homography": "transfer", "lines": "segments"}.get(model, "sampson")
+    errors = correspondence_errors(x, y, models.flatten(0, 1), kind, True).unflatten(0, models.shape[:2])
+    return errors if has_length is None else torch.where(has_length, errors, torch.inf)
+
+
 class TwoViewFit:
     """Errors of models (B, K, 3, 3) and fits near them, for correspondences (B, N, 2) of which those exist that `exists` marks."""
 
-    error = "sampson"
-
-    def __init__(self, x: Tensor, y: Tensor, exists: Tensor | None) -> None:
+    def __init__(self, model: str, x: Tensor, y: Tensor, exists: Tensor | None) -> None:
         if exists is not None:
             exists = exists.reshape(*exists.shape, *(1,) * (x.dim() - 2))
             x, y = (torch.where(exists, p, torch.nan) for p in (x, y))
-        self.x, self.y = x.double(), y.double()
+        self.model, self.x, self.y = model, x.double(), y.double()
 
     def errors(self, models: Tensor) -> Tensor:
         """Squared errors (B, K, N); NaN where there is no correspondence."""
-        x, y, count = self.x, self.y, models.shape[1]
-        if len(models) != 1 and count != 1:
-            x, y = (p[:, None].expand(-1, count, *p.shape[1:]).flatten(0, 1) for p in (x, y))
-        return correspondence_errors(x, y, models.flatten(0, 1), self.error, True).unflatten(0, models.shape[:2])
+        return squared_errors(models, self.x, self.y, self.model)
 
     def __call__(self, models: Tensor, weights: Tensor) -> Tensor:
         """Models (B, K, 3, 3) near others, for weights (B, K, N) of squared errors."""
@@ -61,9 +69,10 @@ class TwoViewFit:
         return self.x.nan_to_num(0.0, 0.0, 0.0), self.y.nan_to_num(0.0, 0.0, 0.0)
 
     def _normalized(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        weights = (self.x + self.y).isfinite().all(-1).to(self.x.dtype)
         x, y = self._finite()
-        x, T1 = normalized(x, None)
-        y, T2 = normalized(y, None)
+        x, T1 = normalized(x, weights)
+        y, T2 = normalized(y, weights)
         return x, y, T1[:, None], T2[:, None]
 
 
@@ -71,14 +80,8 @@ class LinearFit(TwoViewFit):
     """Affine maps, and homographies of line segments (B, N, 2, 2): the least squares of their linear equations."""
 
     def __init__(self, model: str, x: Tensor, y: Tensor, exists: Tensor | None) -> None:
-        super().__init__(x, y, exists)
-        self.model, self.error = model, "segments" if model == "lines" else "transfer"
-        self.has_length = (self.y[..., 0, :] != self.y[..., 1, :]).any(-1)[:, None] if model == "lines" else None
+        super().__init__(model, x, y, exists)
         self.finite = self._finite()
-
-    def errors(self, models: Tensor) -> Tensor:
-        e = super().errors(models)
-        return e if self.has_length is None else torch.where(self.has_length, e, torch.inf)
 
     def __call__(self, models: Tensor, weights: Tensor) -> Tensor:
         count = models.shape[1]
@@ -89,10 +92,8 @@ class LinearFit(TwoViewFit):
 class HomographyFit(TwoViewFit):
     """The covariance of both equations of a correspondence counts by its trace."""
 
-    error = "transfer"
-
-    def __init__(self, x: Tensor, y: Tensor, exists: Tensor | None) -> None:
-        super().__init__(x, y, exists)
+    def __init__(self, model: str, x: Tensor, y: Tensor, exists: Tensor | None) -> None:
+        super().__init__(model, x, y, exists)
         x, y, self.T1, self.T2 = self._normalized()
         self.inverses = torch.linalg.inv_ex(self.T1).inverse, torch.linalg.inv_ex(self.T2).inverse
         p = torch.nn.functional.pad(x, (0, 1), value=1.0)
@@ -119,8 +120,8 @@ class HomographyFit(TwoViewFit):
 class EpipolarFit(TwoViewFit):
     """Fits to the gradient of the Sampson error, to which the change of the variances contributes (Chojnacki's FNS)."""
 
-    def __init__(self, x: Tensor, y: Tensor, exists: Tensor | None) -> None:
-        super().__init__(x, y, exists)
+    def __init__(self, model: str, x: Tensor, y: Tensor, exists: Tensor | None) -> None:
+        super().__init__(model, x, y, exists)
         x, y = self._points()
         self.rows = epipolar_rows(x, y)[:, None]
         self.points = tuple(torch.nn.functional.pad(p, (0, 1), value=1.0).mT[:, None] for p in (x, y))
@@ -182,11 +183,16 @@ class EssentialFit(EpipolarFit):
             tangents = torch.cat([axes @ e, e @ axes], -3).flatten(-2)  # (B, K, 6, 9)
             H, slope = tangents @ M @ tangents.mT, tangents @ ((M - L) @ E.flatten(-2)[..., None])
             damping = 1e-9 * H.diagonal(dim1=-2, dim2=-1).sum(-1)[..., None, None]
-            step = torch.linalg.solve_ex(H + damping * eye, slope).result
-            moved = E - (tangents.mT @ step)[..., 0].unflatten(-1, (3, 3))
-            E = nearest_essential(moved.flatten(0, 1)).unflatten(0, E.shape[:2])
-            E = E / torch.linalg.vector_norm(E, dim=(-2, -1), keepdim=True)
+            step = -torch.linalg.solve_ex(H + damping * eye, slope).result
+            E = _rotations(step[..., :3, :]) @ E @ _rotations(step[..., 3:, :])
         return E
+
+
+def _rotations(a: Tensor) -> Tensor:
+    """Cayley's rotations (*, 3, 3) of small vectors a (*, 3, 1): 1 + (A + A A / 2) 4 / (4 + a a), A = [a]x."""
+    A = (a[..., None] * torch.tensor(_GENERATORS, dtype=a.dtype, device=a.device)).sum(-3)
+    eye = torch.eye(3, dtype=a.dtype, device=a.device)
+    return eye + 4 / (4 + a.square().sum(-2, keepdim=True)) * (A + A @ A / 2)
 
 
 def _relative(weights: Tensor, variances: Tensor) -> Tensor:
@@ -205,8 +211,56 @@ def _least(M: Tensor) -> tuple[Tensor, Tensor]:
 
 LINEAR_FITS: dict[str, Callable[..., Tensor]] = {"affine": affine_of, "homography": homography_of, "lines": of_lines}
 FITS: dict[str, Callable[..., TwoViewFit]] = {
-    "affine": partial(LinearFit, "affine"),
+    "affine": LinearFit,
     "homography": HomographyFit,
-    "lines": partial(LinearFit, "lines"),
+    "lines": LinearFit,
+    "fundamental": FundamentalFit,
+    "fundamental8": FundamentalFit,
     "essential": EssentialFit,
 }
+
+
+def _reference(
+    models: Tensor,
+    points1: Tensor,
+    points2: Tensor,
+    weights: Tensor | None,
+    reaches: Tensor,
+    rounds: int,
+    number: int,
+) -> tuple[Tensor, Tensor]:
+    model = MODEL_NAMES[number]
+    x, y = points1.mT, points2.mT
+    if model == "lines":
+        x, y = x.unflatten(-1, (2, 2)), y.unflatten(-1, (2, 2))
+    fit = FITS[model](model, x, y, None if weights is None else weights > 0)
+    is_known = models.isfinite().flatten(2).all(-1)[..., None, None]
+    models = torch.where(is_known, models, torch.nan)
+    best, scores, _ = rising_fits(models.double(), fit.errors, fit, reaches[:, None, None], rounds, weights)
+    return best.to(models.dtype), scores.to(models.dtype)
+
+
+def _supports(*args: Any) -> str | None:
+    """Line segments have no kernel, nor have numbers of single precision."""
+    if args[-1] == MODEL["lines"]:
+        return "no kernel fits homographies to line segments"
+    return None if args[0].dtype == torch.float64 else "the kernel takes float64"
+
+
+# Takes models (B, K, 3, 3), points (B, 2, N) or the ends of segments (B, 4, N), weights (B, N) or None, and the largest errors
+# (B) that count, in double. Returns the fits (B, K, 3, 3) with the highest scores (B, K) among up to `rounds` from each model; NaN
+# and 0 for models that are not finite.
+_two_view_fits = register(
+    "two_view_fits",
+    _reference,
+    fake=lambda models, *args: [models.new_empty(models.shape), models.new_empty(models.shape[:2])],
+    non_differentiable=(0, 1),
+    supports=_supports,
+)
+
+
+def two_view_fits(
+    models: Tensor, points1: Tensor, points2: Tensor, weights: Tensor | None, reaches: Tensor, rounds: int, model: str
+) -> tuple[Tensor, Tensor]:
+    result: tuple[Tensor, Tensor] = _two_view_fits(models, points1, points2, weights, reaches, rounds, MODEL[model])
+    return result

@@ -16,6 +16,8 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
+from kvision._ops import is_compiling
+
 _QUANTILE = 11.345  # 99% of the squared norms of three normal numbers are below
 _END = _QUANTILE / 2
 _REST = math.exp(-_END)
@@ -28,18 +30,18 @@ Errors = Callable[
 Fit = Callable[[Tensor, Tensor], Tensor]  # models (B, K, m, n) near others, for weights (B, K, N) of squared errors
 
 
-def consensus(errors: Tensor, reach: float) -> tuple[Tensor, Tensor]:
-    """Weights of squared errors in a fit, 0 from `reach` on and for NaN, and what they contribute to the score of a model."""
+def consensus(errors: Tensor, reach: float | Tensor) -> tuple[Tensor, Tensor]:
+    """Weights of squared errors in a fit, and what they contribute to the score of a model; 0 from `reach` on and for NaN."""
     x = (errors * (_END / reach**2)).nan_to_num(_END, _END).clamp(max=_END)
     likelihood = (-x).exp()
-    return likelihood - _REST, likelihood + _REST * x
+    return likelihood - _REST, likelihood - _REST + _REST * (x - _END)
 
 
-def best_fits(
-    models: Tensor, errors: Errors, fit: Fit, reach: float, rounds: int, weights: Tensor | None = None
-) -> tuple[Tensor, Tensor]:
-    """The models (B, m, n) with the highest scores among models (B, K, m, n) and up to `rounds` fits that start from each, and
-    their squared errors (B, N). `weights` (B, N) multiply those of the consensus. On the CPU fits end with the rise of the scores.
+def rising_fits(
+    models: Tensor, errors: Errors, fit: Fit, reach: float | Tensor, rounds: int, weights: Tensor | None = None
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Of each of models (B, K, m, n) and up to `rounds` fits that start from it the one with the highest score, its score (B, K)
+    and its squared errors (B, K, N). `weights` (B, N) multiply those of the consensus. Fits end when the score does not rise.
     """
     factors = None if weights is None else weights[:, None]
     best = models
@@ -48,19 +50,21 @@ def best_fits(
         w, gains = consensus(e, reach)
         score = (gains if factors is None else gains * factors).sum(-1)
         if i == 0:
-            best_score, best_errors = score, e
+            best_score, best_errors, rises = score, e, score > 0
         else:
-            is_better = score > best_score
-            rises = score > best_score * (1 + _TOLERANCE)
+            is_better = rises & (score > best_score)
+            rises = rises & (score > best_score * (1 + _TOLERANCE))
             best_score = torch.where(is_better, score, best_score)
             best = torch.where(is_better[..., None, None], models, best)
             best_errors = torch.where(is_better[..., None], e, best_errors)
-            if score.is_cpu and not bool(rises.any()):
-                break
-        if i < rounds:
-            models = fit(models, w if factors is None else w * factors)
-    if best.shape[1] == 1:
-        return best[:, 0], best_errors[:, 0]
-    first = best_score.argmax(1)
-    row = torch.arange(len(first), device=first.device)
-    return best[row, first], best_errors[row, first]
+        if i == rounds or (score.is_cpu and not is_compiling() and not bool(rises.any())):
+            break
+        models = fit(models, w if factors is None else w * factors)
+    return best, best_score, best_errors
+
+
+def best_of(models: Tensor, scores: Tensor) -> Tensor:
+    """The models (B, m, n) of (B, K, m, n) with the best scores (B, K)."""
+    if models.shape[1] == 1:
+        return models[:, 0]
+    return models[torch.arange(len(models), device=models.device), scores.argmax(1)]

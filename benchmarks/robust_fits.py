@@ -294,6 +294,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parse.add_argument("--pairs", type=int, default=500, help="synthetic ones (default 500)")
     parse.add_argument("--seeds", type=int, default=5, help="of each pair (default 5)")
     parse.add_argument("--repeats", type=int, default=5, help="of timed calls (default 5)")
+    parse.add_argument(
+        "--wrong", nargs="+", type=float, default=WRONG, help="shares of wrong correspondences (default .3 .5 .7)"
+    )
+    parse.add_argument(
+        "--sources", nargs="+", default=["synthetic", "photographs"], help="of pairs; photographs need --data"
+    )
     parse.add_argument("--kinds", nargs="+", default=["homography", "fundamental", "essential", "pose"])
     options = parse.parse_args(arguments)
     set_threads(1)
@@ -302,20 +308,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print(f"$ {about['command']}\nerrors: kvision, OpenCV, ratio; ms: kvision, OpenCV, ratio\n")
     print(f"{'model':12}{'pairs':12}{'wrong':>5}{'n':>5}{'median':>25}{'90th percentile':>25}{'within':>7}{'ms':>22}")
     for kind in options.kinds:
-        for share in WRONG:
-            print(
-                row(
-                    kind,
-                    "synthetic",
-                    share,
-                    list(synthetic(kind, share, options.pairs)),
-                    options.seeds,
-                    options.repeats,
-                )
-            )
-            if options.data is not None:
-                pairs = list(photographed(kind, share, options.data))
-                print(row(kind, "photographs", share, pairs, options.seeds, options.repeats), flush=True)
+        for share in options.wrong:
+            for source in options.sources:
+                if source == "synthetic":
+                    pairs = list(synthetic(kind, share, options.pairs))
+                elif options.data is not None:
+                    pairs = list(photographed(kind, share, options.data))
+                else:
+                    continue
+                print(row(kind, source, share, pairs, options.seeds, options.repeats), flush=True)
     return 0
 
 

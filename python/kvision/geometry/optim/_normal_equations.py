@@ -98,20 +98,26 @@ class Assembly:
         return self._groups[key]
 
     def _pairs_of(self, a: Reference, b: Reference) -> Pairs:
-        """The rows of couplings of `a` and `b` that share an eliminated element."""
+        """The rows of couplings of `a` and `b` that share an eliminated element; of one reference with an index, different rows."""
         key = tuple(self.layout.references.index(r) for r in (a, b))
         if key not in self._shared:
             e = self.eliminated
             assert e is not None and e.index is not None
             every = torch.arange(e.count, device=e.index.device)
-            shared = [every if r.index is None else e.index for r in (a, b)]
-            self._shared[key] = Pairs(shared[0], shared[1], a.index, b.index, a.count, b.count)
+            left, right = (every if r.index is None else e.index for r in (a, b))
+            different = a is b and a.index is not None
+            self._shared[key] = Pairs(left, None if different else right, a.index, b.index, a.count, b.count)
         return self._shared[key]
 
     def _add(self, matrix: Tensor, a: Reference, b: Reference, blocks: Tensor) -> None:
         """Add blocks (B, counts, da, db) to the rows of `a` and the columns of `b`."""
         full = blocks.unflatten(1, (a.count, b.count)).transpose(2, 3).flatten(3, 4).flatten(1, 2)
         matrix[:, self._of_kept(a), self._of_kept(b)] += full
+
+    def _add_diagonal(self, matrix: Tensor, a: Reference, blocks: Tensor) -> None:
+        """Add blocks (B, count, da, da) to the diagonal of `a`."""
+        part = matrix[:, self._of_kept(a), self._of_kept(a)].unflatten(1, (a.count, a.size))
+        part.unflatten(3, (a.count, a.size)).diagonal(dim1=1, dim2=3).add_(blocks.movedim(1, -1))
 
     def matrix(self, hessian: Hessian) -> Tensor:
         """The Hessian of the kept variables."""
@@ -124,8 +130,7 @@ class Assembly:
                 if result is None:
                     result = blocks.new_zeros(blocks.shape[0], size, size)
                 if a is b:
-                    part = result[:, self._of_kept(a), self._of_kept(a)].unflatten(1, (a.count, a.size))
-                    part.unflatten(3, (a.count, a.size)).diagonal(dim1=1, dim2=3).add_(blocks.movedim(1, -1))
+                    self._add_diagonal(result, a, blocks)
                 else:
                     self._add(result, a, b, blocks)
                     self._add(result, b, a, _swapped(blocks, a, b))
@@ -213,9 +218,13 @@ class Assembly:
         for i, (a, W) in enumerate(coupling):
             for b, other in coupling[i:]:
                 blocks = self._pairs_of(a, b).products(W, minus, other)
+                groups = self._groups_of(a)
                 self._add(H, a, b, blocks)
-                if a is not b:
+                if a is not b or groups is not None:
                     self._add(H, b, a, _swapped(blocks, a, b))
+                if a is b and groups is not None:
+                    assert e.index is not None
+                    self._add_diagonal(H, a, groups.squares(W, minus, e.index))
         return H, inverse, damping
 
     def information(self, equations: Equations) -> Tensor:

@@ -56,6 +56,10 @@ class Groups:
         others = self.rows if right_index is None else right_index[self.rows[0]].int()[None]
         return group_products(left, right, self.rows, others, self.offsets, None, None)
 
+    def squares(self, left: Tensor, middle: Tensor, index: Tensor) -> Tensor:
+        """Sums of left M left^T over rows of matrices (B, N, a, n), with the matrix M (B, K, n, n) that the index (N,) names."""
+        return group_products(left.mT, left.mT, self.rows, self.rows, self.offsets, middle, index.int()[None])
+
     def __call__(self, x: Tensor) -> Tensor:
         """Sums of x (B, N, *)."""
         rows = x.flatten(2) if x.dim() > 2 else x[..., None]
@@ -67,7 +71,8 @@ class Pairs:
     """Pairs of rows that share an element, by the keys of both: what a Schur complement sums over.
 
     Args:
-        left, right: the elements (N,) and (M,) that rows of two tables share.
+        left, right: the elements (N,) and (M,) that rows of two tables share. None for `right`: pairs of different rows of
+            one table, in one order each.
         left_key, right_key: the keys (N,) and (M,) of rows; None for tables that have none.
         left_count, right_count: of keys, 1 without.
     """
@@ -75,14 +80,14 @@ class Pairs:
     def __init__(
         self,
         left: Tensor,
-        right: Tensor,
+        right: Tensor | None,
         left_key: Tensor | None,
         right_key: Tensor | None,
         left_count: int,
         right_count: int,
     ) -> None:
         self.middle = left.int().contiguous()[None]
-        i, j = _sharing(self.middle[0], right.int())
+        i, j = _different(self.middle[0]) if right is None else _sharing(self.middle[0], right.int())
         keys = torch.zeros_like(i)
         if left_key is not None:
             keys += left_key[i].int() * right_count
@@ -108,3 +113,16 @@ def _sharing(left: Tensor, right: Tensor) -> tuple[Tensor, Tensor]:
     within = torch.arange(len(i), dtype=torch.int32, device=i.device)
     within += start[i]
     return i, order.int()[within]
+
+
+def _different(x: Tensor) -> tuple[Tensor, Tensor]:
+    """All pairs (i, j) of different rows with x[i] = x[j], in one order each."""
+    ordered, order = x.sort(stable=True)
+    rows = torch.arange(len(x), dtype=torch.int32, device=x.device)
+    before = rows - torch.searchsorted(ordered, ordered, out_int32=True)  # rows of the same element that come first
+    second = torch.repeat_interleave(before).int()  # waits for the device, as above
+    start = before.cumsum(0, dtype=torch.int32) - before
+    first = torch.arange(len(second), dtype=torch.int32, device=x.device)
+    first += (rows - before - start)[second]
+    order = order.int()
+    return order[first], order[second]

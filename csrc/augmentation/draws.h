@@ -20,13 +20,14 @@ enum class DrawKind : uint8_t {
   beta,
   normal,
   uniform_and_affine,
-  uniform_of_sample
+  uniform_of_sample,
+  rectangles
 };
-constexpr int kDrawKinds = 11;
+constexpr int kDrawKinds = 12;
 
 // How many numbers a kind takes, and how many columns it gives: 0 for as many as its first number says.
-constexpr int kDrawNumbers[kDrawKinds] = {0, 3, 4, 3, 3, 6, 6, 3, 3, 5, 3};
-constexpr int kDrawColumns[kDrawKinds] = {1, 1, 1, 1, 0, 4, 4, 1, 1, 2, 1};
+constexpr int kDrawNumbers[kDrawKinds] = {0, 3, 4, 3, 3, 6, 6, 3, 3, 5, 3, 10};
+constexpr int kDrawColumns[kDrawKinds] = {1, 1, 1, 1, 0, 4, 4, 1, 1, 2, 1, 0};
 
 constexpr int kMaxDraws = 64, kMaxDrawNumbers = 256;  // of a launch, whose parameters take less than 4 KB
 constexpr int kMaxListedNumbers = 3072;  // of all samples of a launch, whose parameters take 32,764 bytes at most
@@ -150,6 +151,28 @@ KV_HD DrawnBox rectangle(DrawSource const& source, uint32_t index, double const*
   return {{offset_of(words.w[2], width, w), offset_of(words.w[3], height, h), w, h}};
 }
 
+// Whole pixels, at least one where the lowest length is above 0, and at most all. Numbers: lowest and highest length,
+// whether these are pixels and not fractions of the size.
+KV_HD double length_of(uint32_t word, double const* n, double size) {
+  double const length =
+      n[2] != 0 ? n[0] + up_to(word, uint64_t(int64_t(n[1] - n[0]) + 1)) : nearest(uniform_of(word, n[0], n[1]) * size);
+  return clamp(length, n[0] > 0 ? min(1., size) : 0., size);
+}
+
+// Numbers: four times the most rectangles, the fewest, those of heights and of widths for length_of, height, width.
+template <class T>
+KV_HD void draw_rectangles(DrawSource const& source, uint32_t index, double const* n, T* boxes) {
+  int const most = int(n[0]) / 4, fewest = int(n[1]);
+  int const count = fewest + int(up_to(source.words(index).w[0], uint64_t(most - fewest + 1)));
+  double const height = n[8], width = n[9];
+  for (int i = 0; i < most; ++i) {
+    PhiloxWords const words = source.words(index, uint32_t(1 + i));
+    double const h = length_of(words.w[2], n + 2, height), w = length_of(words.w[3], n + 5, width);
+    double const box[] = {offset_of(words.w[0], width, w), offset_of(words.w[1], height, h), w, h};
+    for (int k = 0; k < 4; ++k) boxes[4 * i + k] = i < count ? T(box[k]) : T(0);
+  }
+}
+
 // The shuffle of Durstenfeld, in the result itself: entry i is swapped with one of entries i to n - 1.
 template <class T>
 KV_HD void permute(DrawSource const& source, uint32_t index, int n, T* entries) {
@@ -259,6 +282,12 @@ KV_HD void draw_sample(DrawParameters<T> const& p, double const* n, Draw const& 
       break;
     case DrawKind::uniform_of_sample:  // also under same_on_batch
       result[0] = T(chosen ? uniform_of(p.source_of_sample(d, b).words(d.index).w[0], n[0], n[1]) : n[2]);
+      break;
+    case DrawKind::rectangles:
+      if (chosen)
+        draw_rectangles(source, d.index, n, result);
+      else
+        for (int i = 0; i < int(n[0]); ++i) result[i] = T(0);
       break;
   }
 }

@@ -38,10 +38,10 @@ inline void check_listed(char const* op, DrawParameters<float> const& p, std::sp
   KV_CHECK(listed.size() == batch * width && (!batch || width == own) && width <= kMaxListedNumbers, op, ": expected ",
            own, " numbers for each of ", batch, " images, got ", listed.size(), " in all");
   for (int i = 0; i < end; ++i)
-    for (size_t b = 0; p.draws[i].kind == DrawKind::permutation && b < batch; ++b) {
+    for (size_t b = 0; !kDrawColumns[int(p.draws[i].kind)] && b < batch; ++b) {
       double const own_entries = listed[b * width + p.draws[i].number - kFirstListed];
-      KV_CHECK(own_entries == p.numbers[p.draws[i].number], op, ": expected permutations of ",
-               p.numbers[p.draws[i].number], " entries, got ", own_entries);
+      KV_CHECK(own_entries == p.numbers[p.draws[i].number], op, ": expected draws of ", p.numbers[p.draws[i].number],
+               " columns, got ", own_entries);
     }
 }
 

@@ -40,7 +40,7 @@ void read_plan(char const* op, std::span<int64_t const> plan, std::span<double c
       int columns = kDrawColumns[kind];
       if (!columns) {
         KV_CHECK(numbers[number] >= 0 && numbers[number] <= p.columns, op, ": expected up to ", p.columns,
-                 " entries to permute, got ", numbers[number]);
+                 " columns of a draw, got ", numbers[number]);
         columns = int(numbers[number]);
       }
       KV_CHECK(column + columns <= p.columns, op, ": the draws have more columns than ", p.columns);

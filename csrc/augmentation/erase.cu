@@ -1,36 +1,68 @@
-// Erased rectangles on CUDA: each thread has 16 bytes of a row.
+// Erased rectangles on CUDA: a block has a tile of all planes of a sample. It marks the erased pixels of the tile as
+// bits, once for all planes, and each thread then has 16 bytes of a row.
 #include "augmentation/erase.h"
 #include "core/launch.cuh"
 
 namespace kv::augmentation::cuda {
 namespace {
 
-constexpr int kEraseThreads = 128;
+constexpr int kEraseThreads = 256, kEraseRows = 8, kEraseColumns = 2048, kEraseWords = kEraseColumns / 32;
+
+// The bits of the columns [begin, end) of a row of the tile.
+__device__ __forceinline__ void mark(uint32_t* words, int begin, int end) {
+  for (int w = begin / 32; 32 * w < end; ++w) {
+    int const low = max(begin - 32 * w, 0), high = min(end - 32 * w, 32);
+    atomicOr(words + w, (high == 32 ? ~0u : (1u << high) - 1) & (~0u << low));
+  }
+}
 
 // P elements of a row for each thread. A row of a channels-last image has all channels of its pixels.
 template <class T, int P>
 __global__ void __launch_bounds__(kEraseThreads)
-    erase_rows(__grid_constant__ EraseRectangles<T> const p, unsigned vectors) {
-  int64_t const i = blockIdx.x * int64_t(kEraseThreads) + threadIdx.x, r = i / vectors, first = (i - r * vectors) * P;
-  if (r >= p.x.rows()) return;
-  int64_t const plane = r / p.x.height, y = r - plane * p.x.height, b = p.sample(plane);
-  Vector<T, P> v = *reinterpret_cast<Vector<T, P> const*>(p.x.row(plane, y) + first);
-  float const* const box = p.boxes + b * p.box_stride;
-  if (ErasedRange(box[1], box[3], p.x.height).contains(y)) {
-    ErasedRange columns(box[0], box[2], p.x.width);
-    columns.begin *= p.x.step, columns.end *= p.x.step;
-    T const value = round_to<T>(p.values[b * p.value_stride]);
-#pragma unroll
-    for (int k = 0; k < P; ++k)
-      if (columns.contains(first + k)) v.v[k] = value;
+    erase_tiles(__grid_constant__ EraseRectangles<T> const p, unsigned tiles_down, unsigned tiles_across) {
+  static_assert(32 % P == 0, "a vector of one channel has the bits of one word");
+  __shared__ uint32_t erased[kEraseRows][kEraseWords];
+  unsigned const tile_x = blockIdx.x % tiles_across, t = blockIdx.x / tiles_across, tile_y = t % tiles_down;
+  int64_t const b = t / tiles_down, top = int64_t(tile_y) * kEraseRows, left = int64_t(tile_x) * kEraseColumns;
+  int const rows = int(min(p.x.height - top, int64_t(kEraseRows))),
+            columns = int(min(p.x.width - left, int64_t(kEraseColumns))), words = int(ceil_div(columns, 32));
+  for (int i = threadIdx.x; i < rows * words; i += kEraseThreads) erased[i / words][i % words] = 0;
+  __syncthreads();
+  for (int64_t i = threadIdx.x; i < p.num_boxes; i += kEraseThreads) {
+    float const* const box = p.box(b, i);
+    ErasedRange const down(box[1], box[3], p.x.height), across(box[0], box[2], p.x.width);
+    int const first = int(max(down.begin - top, int64_t(0))), last = int(min(down.end - top, int64_t(rows)));
+    int const begin = int(max(across.begin - left, int64_t(0))), end = int(min(across.end - left, int64_t(columns)));
+    for (int y = first; y < last; ++y) mark(erased[y], begin, end);
   }
-  store_vector(p.y.row(plane, y) + first, v);
+  __syncthreads();
+  int const step = int(p.x.step), vectors = columns * step / P, per_plane = rows * vectors;
+  for (int i = threadIdx.x; i < per_plane * int(p.planes_per_sample); i += kEraseThreads) {
+    int const c = i / per_plane, y = (i - c * per_plane) / vectors, k = (i - c * per_plane - y * vectors) * P;
+    int64_t const plane = b * p.planes_per_sample + c, first = left * step + k;
+    Vector<T, P> v = *reinterpret_cast<Vector<T, P> const*>(p.x.row(plane, top + y) + first);
+    if (step == 1) {
+      uint32_t const bits = erased[y][k / 32] >> (k % 32);
+      T const value = round_to<T>(p.value(b, c, k));
+#pragma unroll
+      for (int j = 0; j < P; ++j)
+        if (bits >> j & 1) v.v[j] = value;
+    } else {
+#pragma unroll
+      for (int j = 0; j < P; ++j) {
+        int const column = (k + j) / step;
+        if (erased[y][column / 32] >> (column % 32) & 1) v.v[j] = round_to<T>(p.value(b, c, k + j));
+      }
+    }
+    store_vector(p.y.row(plane, top + y) + first, v);
+  }
 }
 
 template <class T, int P>
 int launch_erase(EraseRectangles<T> const& p, CUstream_st* stream) {
-  unsigned const vectors = unsigned(p.x.row_size() / P);
-  erase_rows<T, P><<<unsigned(ceil_div(p.x.rows() * vectors, kEraseThreads)), kEraseThreads, 0, stream>>>(p, vectors);
+  unsigned const down = unsigned(ceil_div(p.x.height, kEraseRows)),
+                 across = unsigned(ceil_div(p.x.width, kEraseColumns));
+  erase_tiles<T, P><<<unsigned(p.samples) * down * across, kEraseThreads, 0, stream>>>(p, down, across);
   return cudaGetLastError();
 }
 

@@ -11,12 +11,17 @@ template <class T>
 struct EraseRectangles {
   Planes<T const> x;
   Planes<T> y;
-  float const* boxes;         // (B, 4): x, y, width, height
-  Compute<T> const* values;   // (B,)
-  int64_t planes_per_sample;  // 1 where a plane has all channels
-  int64_t box_stride, value_stride;
+  float const* boxes;                                // (B, N, 4): x, y, width, height
+  Compute<T> const* values;                          // (B, C)
+  int64_t samples, num_boxes;                        // B, N
+  int64_t planes_per_sample;                         // 1 where a plane has all channels
+  int64_t box_stride, value_stride, channel_stride;  // of a sample, and of a channel
 
-  KV_HD int64_t sample(int64_t plane) const { return plane / planes_per_sample; }
+  KV_HD float const* box(int64_t b, int64_t i) const { return boxes + b * box_stride + 4 * i; }
+  // Of an element of a row of plane c of a sample.
+  KV_HD Compute<T> value(int64_t b, int64_t c, int64_t element) const {
+    return values[b * value_stride + (channel_stride && x.step > 1 ? element % x.step : c) * channel_stride];
+  }
 };
 
 KV_KERNEL(erase_rectangles, EraseRectangles)

@@ -70,12 +70,13 @@ __global__ void __launch_bounds__(kNoiseThreads) add_noise(__grid_constant__ Pix
   int64_t const c = planar ? i / blocks : i % p.channels, block = planar ? i - c * blocks : i / p.channels;
   FourPixels<T, Vectorized> four(p, b, c, block);
   if (p.is_chosen(b)) {
-    F const mean = p.parameters[b * p.parameter_stride] * p.full_range,
-            deviation = p.parameters[b * p.parameter_stride + 1] * p.full_range;
+    F const range = p.has(NoiseForm::multiply) ? F(1) : p.full_range;
+    F const mean = p.parameters[b * p.parameter_stride] * range,
+            deviation = p.parameters[b * p.parameter_stride + 1] * range;
     F n[4];
-    Variates::of(p.source(b).words(p.draw, uint32_t(c * blocks + block)), n);
+    Variates::of(p.source(b).words(p.draw, p.numbered(c, block)), n);
 #pragma unroll
-    for (int k = 0; k < 4; ++k) four.v.v[k] = round_to<T>(read(four.v.v[k]) + (n[k] * deviation + mean));
+    for (int k = 0; k < 4; ++k) four.v.v[k] = round_to<T>(p.noisy(F(read(four.v.v[k])), F(n[k] * deviation + mean)));
   }
   four.store();
 }
@@ -91,11 +92,47 @@ __global__ void __launch_bounds__(kNoiseThreads) hit_pixels(__grid_constant__ Pi
   T const pepper = round_to<T>(Compute<T>(0)), salt = round_to<T>(p.salt);
   for (int64_t c = 0; c < p.channels; ++c) {
     FourPixels<T, Vectorized> four(p, b, c, block);
+    uint32_t const number = uint32_t(c * p.blocks() + block);
+    if (chosen && c && p.has(NoiseForm::by_channel)) words = p.source(b).words(p.draw, number);
+    if (chosen && p.has(NoiseForm::random)) {
+      PhiloxWords const fill = p.source(b).words(p.draw + 1, number);
 #pragma unroll
-    for (int k = 0; k < 4; ++k)
-      if (chosen && hit.is_hit(words.w[k])) four.v.v[k] = hit.is_salt(words.w[k]) ? salt : pepper;
+      for (int k = 0; k < 4; ++k)
+        if (hit.is_hit(words.w[k])) four.v.v[k] = round_to<T>(fill_of<Compute<T>>(fill.w[k]) * p.full_range);
+    } else if (chosen) {
+#pragma unroll
+      for (int k = 0; k < 4; ++k)
+        if (hit.is_hit(words.w[k])) four.v.v[k] = hit.is_salt(words.w[k]) ? salt : pepper;
+    }
     four.store();
   }
+}
+
+template <class T, bool Vectorized>
+__global__ void __launch_bounds__(kNoiseThreads) count_photons(__grid_constant__ PixelNoise<T> const p) {
+  using F = Compute<T>;
+  int64_t const b = blockIdx.y, blocks = p.blocks(), i = blockIdx.x * int64_t(kNoiseThreads) + threadIdx.x;
+  if (i >= p.channels * blocks) return;
+  bool const planar = p.step == 1;
+  int64_t const c = planar ? i / blocks : i % p.channels, block = planar ? i - c * blocks : i / p.channels;
+  FourPixels<T, Vectorized> four(p, b, c, block);
+  if (p.is_chosen(b)) {
+    F const step = p.parameters[b * p.parameter_stride], power = p.parameters[b * p.parameter_stride + 1];
+    int64_t const at = p.offset(b, c) + 4 * block * p.step;
+    PhiloxWords words{};
+    if (!p.uniform) words = p.source(b).words(p.draw, p.numbered(c, block));
+#pragma unroll
+    for (int k = 0; k < 4; ++k) {
+      if (k >= four.count) break;
+      F const x = read(four.v.v[k]) / p.full_range;
+      F const y = shot(
+          x, F(p.uniform ? p.uniform[at + k * p.step] : unit_of(words.w[k])), step, power,
+          [](F base, F exponent) { return ::pow(base, exponent); }, [](F exponent) { return ::exp(exponent); },
+          [](F square) { return ::sqrt(square); });
+      four.v.v[k] = round_to<T>(y * p.full_range);
+    }
+  }
+  four.store();
 }
 
 template <class T>
@@ -136,7 +173,17 @@ int salt_and_pepper(PixelNoise<T> const& p, CUstream_st* stream) {
   return cudaGetLastError();
 }
 
+template <class T>
+int shot_noise(PixelNoise<T> const& p, CUstream_st* stream) {
+  dim3 const grid = noise_grid(p.channels * p.blocks(), p.batch);
+  with_alignment<T>(has_whole_vectors(p), [&](auto vectorized) {
+    count_photons<T, vectorized.value><<<grid, kNoiseThreads, 0, stream>>>(p);
+  });
+  return cudaGetLastError();
+}
+
 KV_INSTANTIATE_WITH_BYTES(gaussian_noise, PixelNoise)
+KV_INSTANTIATE_WITH_BYTES(shot_noise, PixelNoise)
 KV_INSTANTIATE_WITH_BYTES(uniform_noise, PixelNoise)
 KV_INSTANTIATE_WITH_BYTES(salt_and_pepper, PixelNoise)
 

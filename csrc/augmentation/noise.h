@@ -1,12 +1,21 @@
 // Noise of images, a function of a key, the sample and the pixel: normal and uniform noise, and salt and pepper.
-// noise.py of kvision.augmentation defines them. The words of a pixel are those of the block at its position / 4 in the
-// plane. Included by noise_cpu.cpp, noise.cu and noise_op.cpp.
+// noise.py of kvision.augmentation defines them, and the numbers of NoiseForm. The words of a pixel are those of the
+// block at its position / 4 in the plane. Included by noise_cpu.cpp, noise.cu and noise_op.cpp.
 #pragma once
 
 #include "augmentation/draws.h"
 #include "core/normal.h"
 
 namespace kv::augmentation {
+
+// How noise changes pixels, as a sum of flags.
+namespace NoiseForm {
+constexpr int multiply = 1, clamp = 2,
+              shared = 4;  // of normal and uniform noise: factors; within the range; of all channels
+constexpr int by_channel = 8,
+              random = 16;  // of hit pixels: those of each channel; they get uniform noise of the next draw
+constexpr int all = 31;
+}  // namespace NoiseForm
 
 // Dense images, planar or channels-last.
 template <class T>
@@ -21,8 +30,10 @@ struct PixelNoise {
   Compute<T> full_range, salt;   // 255 for bytes, 1 for floats; the value of salt
   int64_t const *keys, *seeds;   // on the device; null: `key` is the key, there are no seeds
   int64_t key_stride, seed_stride, parameter_stride, chosen_stride;
-  int64_t key;  // or its index, where the keys are on the device
+  int64_t key;           // or its index, where the keys are on the device
+  float const* uniform;  // of the elements of x, as they lie, in place of the words of photons; or null
   uint32_t position, draw;
+  int form;
   bool same_on_batch;
 
   KV_HD DrawSource source(int64_t b) const {
@@ -33,6 +44,24 @@ struct PixelNoise {
   KV_HD int64_t offset(int64_t b, int64_t c) const { return b * channels * pixels + c * channel_stride; }
   // Blocks of four pixels in a plane. Planes begin with a block of their own.
   KV_HD int64_t blocks() const { return (pixels + 3) / 4; }
+  KV_HD bool has(int flag) const { return form & flag; }
+  // The number of a block for the words of normal and uniform noise.
+  KV_HD uint32_t numbered(int64_t c, int64_t block) const {
+    return uint32_t((has(NoiseForm::shared) ? 0 : c * blocks()) + block);
+  }
+  // Pixels x with noise n.
+  template <class V>
+  KV_HD V noisy(V x, V n) const {
+    using F = Compute<T>;
+    V y = x + n;
+    if (has(NoiseForm::multiply)) y = x * n;
+    if (has(NoiseForm::clamp)) {  // NaN stays
+      V const low = V{}, high = V{} + F(full_range);
+      y = y < low ? low : y;
+      y = y > high ? high : y;
+    }
+    return y;
+  }
 };
 
 // Pixels of a unit of work on the CPU.
@@ -41,6 +70,7 @@ constexpr int kNoiseChunk = 1024;
 KV_KERNEL(gaussian_noise, PixelNoise)
 KV_KERNEL(uniform_noise, PixelNoise)
 KV_KERNEL(salt_and_pepper, PixelNoise)
+KV_KERNEL(shot_noise, PixelNoise)
 
 // What becomes of the pixels of a word: with unit(word) below the amount they are hit, below that times `fraction` by
 // salt.
@@ -71,10 +101,72 @@ KV_HD void normals_of(PhiloxWords const& words, double (&n)[4]) {
   }
 }
 
+// What a hit pixel gets for a word, in [0, 1).
+template <class F>
+KV_HD F fill_of(uint32_t word) {
+  return F(word >> 8) * F(0x1p-24);
+}
+
+// The same number as that of symmetric_of, in [0, 1], as float32.
+KV_HD float unit_of(uint32_t word) { return float(word ^ 0x80000000u) * 0x1p-32f; }
+
 // A uniform variate in [-1, 1] of a word.
 template <class F>
 KV_HD F symmetric_of(uint32_t word) {
   return F(int32_t(word)) * F(0x1p-31);
+}
+
+// The quantile of the standard normal distribution, relatively within 1e-6 (Giles, Approximating the erfinv function,
+// GPU Computing Gems, 2011).
+template <class F>
+KV_HD F normal_quantile(F u) {
+  F const x = 2 * u - 1;
+  F w = -F(logarithm(double((1 - x) * (1 + x)))), sum;
+  if (w < 5) {
+    constexpr float c[] = {2.81022636e-8f,  3.43273939e-7f,  -3.5233877e-6f, -4.39150654e-6f, 2.1858087e-4f,
+                           -1.25372503e-3f, -4.17768164e-3f, 0.246640727f,   1.50140941f};
+    w -= F(2.5);
+    sum = c[0];
+    for (int i = 1; i < 9; ++i) sum = sum * w + c[i];
+  } else {
+    constexpr float c[] = {-2.00214257e-4f, 1.00950558e-4f, 1.34934322e-3f, -3.67342844e-3f, 5.73950773e-3f,
+                           -7.6224613e-3f,  9.43887047e-3f, 1.00167406f,    2.83297682f};
+    w = F(sqrt(double(w))) - 3;
+    sum = c[0];
+    for (int i = 1; i < 9; ++i) sum = sum * w + c[i];
+  }
+  return F(1.4142135623730951) * sum * x;
+}
+
+// The least count whose cumulative probability is at least u. Up to 64 by the sum of probabilities; above by the
+// expansion of Giles (Algorithm 955, ACM TOMS 42, 2016), one off with a probability of 1e-4 at most.
+template <class F, class Exp, class Sqrt>
+KV_HD F poisson_quantile(F u, F rate, Exp const& exponential_of, Sqrt const& root_of) {
+  if (rate <= 64) {
+    F probability = exponential_of(-rate), sum = probability, count = 0;
+    while (sum < u) {
+      count += 1;
+      probability *= rate / count;
+      F const next = sum + probability;
+      if (next == sum && count > rate) break;
+      sum = next;
+    }
+    return count;
+  }
+  F const z = normal_quantile(min(max(u, F(1e-7)), F(1 - 1e-7))), root = root_of(rate);
+  F const correction = (F(1) / 3 + z * z / 6) - z * (F(1) / 36 + z * z / 72) / root;
+  return F(int64_t(max(rate + root * z + correction, F(0))));
+}
+
+// Pixels of light to a power, counted in photons of a step, the first parameter; the power is the second one. NaN
+// stays.
+template <class F, class Pow, class Exp, class Sqrt>
+KV_HD F shot(F x, F u, F step, F power, Pow const& power_of, Exp const& exponential_of, Sqrt const& root_of) {
+  if (x != x) return x;
+  x = min(max(x, F(0)), F(1));
+  F const light = power == 1 ? x : power_of(x, power);
+  F const y = min(poisson_quantile(u, light / step, exponential_of, root_of) * step, F(1));
+  return power == 1 ? y : power_of(y, 1 / power);
 }
 
 }  // namespace kv::augmentation

@@ -23,6 +23,7 @@ struct NoiseArguments {
   Tensor const &images, &parameters, &keys;
   OptionalTensor const &seeds, &chosen;
   std::vector<int64_t> const& plan;
+  OptionalTensor const* uniform = nullptr;  // of photons
 
   NoiseSource source() const { return {op, images, keys, seeds, plan}; }
   void check() const {
@@ -34,6 +35,11 @@ struct NoiseArguments {
              op, ": expected parameters of shape (B, 2), of the type that is computed in, on the device of images");
     source().check();
     check_chosen(op, chosen, images);
+    if (!uniform || !*uniform) return;
+    Tensor const& u = **uniform;
+    bool fits = u.dim() == 4 && u.scalar_type() == ScalarType::Float && u.device() == images.device();
+    for (int i = 0; fits && i < 4; ++i) fits = u.size(i) == images.size(i);
+    KV_CHECK(fits, op, ": expected float32 uniform of the shape and device of images");
   }
 
   template <class T>
@@ -44,8 +50,10 @@ struct NoiseArguments {
     set_chosen(n, chosen);
     n.parameters = data_ptr<Compute<T> const>(p);
     n.parameter_stride = p.size(0) > 1 ? 2 : 0;
+    n.uniform = nullptr;
     n.full_range = sizeof(T) == 1 ? 255 : 1;
     n.salt = Compute<T>(salt) * n.full_range;
+    if (salt == 0) n.form &= ~NoiseForm::random;  // of gradients
     return n;
   }
 };
@@ -56,8 +64,14 @@ Tensor run_noise(NoiseArguments const& arguments, double salt, Run const& run) {
   arguments.check();
   Layout const layout = layout_of(arguments.images);
   Tensor const x = dense_images(arguments.images, layout), p = dense(arguments.parameters), y = empty_like(x, layout);
-  dispatch_floating_and_uint8(arguments.op, x,
-                              [&]<class T>(Type<T>) { run(x, arguments.params<T>(x, y, p, layout, salt)); });
+  OptionalTensor const u = arguments.uniform && *arguments.uniform
+                               ? OptionalTensor(dense_images(**arguments.uniform, layout))
+                               : std::nullopt;
+  dispatch_floating_and_uint8(arguments.op, x, [&]<class T>(Type<T>) {
+    PixelNoise<T> params = arguments.params<T>(x, y, p, layout, salt);
+    if (u) params.uniform = data_ptr<float const>(*u);
+    run(x, params);
+  });
   return y;
 }
 
@@ -74,6 +88,14 @@ Tensor uniform_noise(Tensor const& images, Tensor const& parameters, Tensor cons
   return run_noise({"uniform_noise", images, parameters, keys, seeds, chosen, plan}, 0,
                    [](Tensor const& x, auto const& params) {
                      KV_RUN(uniform_noise, x, params, noise_units(x), 4 * kNoiseChunk * x.size(1));
+                   });
+}
+
+Tensor shot_noise(Tensor const& images, Tensor const& parameters, Tensor const& keys, OptionalTensor const& seeds,
+                  OptionalTensor const& chosen, OptionalTensor const& uniform, std::vector<int64_t> const& plan) {
+  return run_noise({"shot_noise", images, parameters, keys, seeds, chosen, plan, &uniform}, 0,
+                   [](Tensor const& x, auto const& params) {
+                     KV_RUN(shot_noise, x, params, noise_units(x), 32 * kNoiseChunk * x.size(1));
                    });
 }
 
@@ -100,6 +122,9 @@ Tensor salt_and_pepper_backward(Tensor const& grad, Tensor const& parameters, Te
 #define KV_NOISE "Tensor parameters, Tensor keys, Tensor? seeds, Tensor? chosen, int[] plan) -> Tensor"
 KV_OPERATOR(gaussian_noise, "(Tensor images, " KV_NOISE)
 KV_OPERATOR(uniform_noise, "(Tensor images, " KV_NOISE)
+KV_OPERATOR(shot_noise,
+            "(Tensor images, Tensor parameters, Tensor keys, Tensor? seeds, Tensor? chosen, Tensor? uniform, "
+            "int[] plan) -> Tensor")
 KV_OPERATOR(salt_and_pepper, "(Tensor images, " KV_NOISE)
 KV_OPERATOR(salt_and_pepper_backward, "(Tensor grad, " KV_NOISE)
 #undef KV_NOISE

@@ -10,7 +10,7 @@ import torch
 from scipy import stats
 
 import kvision.augmentation as A
-from kvision.augmentation.corruption.poisson import poisson_quantile
+from kvision.augmentation.noise import poisson_quantile
 
 
 def images(*shape: int, device: torch.device) -> torch.Tensor:
@@ -41,9 +41,9 @@ def test_shot_noise_counts_photons_of_linear_light(device: torch.device) -> None
 
 def test_factors_and_speckle() -> None:
     x, u = images(2, 3, 4, 5, device=torch.device("cpu")), torch.rand(2, 3, 4, 5)
-    y = A.MultiplicativeNoise((0.5, 1.5), True, True, p=1.0)(x, params=drawn(2, noise=u))
+    y = A.MultiplicativeNoise((0.5, 1.5), True, True, p=1.0)(x, params=drawn(2, factors=0.5 + u))
     torch.testing.assert_close(y, (x * (0.5 + u)).clamp(0, 1))
-    y = A.SpeckleNoise(p=1.0)(x, params=drawn(2, std=0.4, noise=u - 0.5))
+    y = A.SpeckleNoise(p=1.0)(x, params=drawn(2, std=0.4, factors=1 + 0.4 * (u - 0.5)))
     torch.testing.assert_close(y, (x + 0.4 * x * (u - 0.5)).clamp(0, 1))
 
 

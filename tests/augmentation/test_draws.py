@@ -34,6 +34,7 @@ CROP = Draw("resized_crop", (0.08, 1.0, math.log(3 / 4), math.log(4 / 3), 97, 13
 TALL = Draw("resized_crop", (0.9, 1.0, -1.9, -1.8, 97, 31))  # none fits: the largest one
 RECTANGLE = Draw("rectangle", (0.02, 0.33, 0.3, 3.3, 97, 131))
 WIDE = Draw("rectangle", (0.5, 2.0, 0.1, 0.4, 20, 30))
+HOLES = Draw("rectangles", (12, 1, 2, 9, 1, 0.1, 0.4, 0, 30, 40))
 # Those with the same bits everywhere, and those of the C library's or CUDA's logarithm and cosine.
 EXACT = [
     Request([Draw("chosen"), uniform(-1, 2.5, 0.5), integer(3, 17, 3, step=2)], 0.7, 0.8),
@@ -41,7 +42,7 @@ EXACT = [
     Request([CROP, TALL, RECTANGLE, WIDE, Draw("permutation", (1, 0, 0))], 0.9),
     Request([uniform(0, 1), Draw("permutation", (9, 8, -1))], 1.0, 1.0, True),
     Request([Draw("uniform_and_affine", (-0.3, 0.3, 0.7, 0.1, 0.25))], 0.9),
-    Request([uniform(0, 1), Draw("uniform_of_sample", (0, 2, -1))], 0.9, 1.0, True),
+    Request([uniform(0, 1), Draw("uniform_of_sample", (0, 2, -1)), HOLES], 0.9, 1.0, True),
 ]
 ROUNDED = [
     Request([Draw("beta", (0.4, 0.4, 0.1)), Draw("beta", (3.0, 2.0, 0.1)), Draw("normal", (1.0, 2.0, 0.0))], 0.9)
@@ -106,7 +107,7 @@ def test_bad_numbers_of_samples(device, backend):
     plan = make_plan([Request([Draw("permutation", (3, 0, 1))])])
     with pytest.raises(RuntimeError, match="expected 3 numbers for each of 2 images, got 5"):
         draw_list_parameters(images(2, device), KEYS[:1], None, *plan[:2], [3, 0, 1, 3, 0])
-    with pytest.raises(RuntimeError, match="expected permutations of 3 entries, got 4"):
+    with pytest.raises(RuntimeError, match="expected draws of 3 columns, got 4"):
         draw_list_parameters(images(2, device), KEYS[:1], None, *plan[:2], [3, 0, 1, 4, 0, 1])
 
 
@@ -141,7 +142,7 @@ def test_kernel_equals_reference(device, backend):
     with K.backend("reference"):
         reference = drawn(EXACT + ROUNDED, N, device, torch.cat([KEYS, KEYS[:1]]))
     whole = (reference == reference.round()).all(0)
-    assert whole.sum() == 34 and torch.equal(native[:, whole], reference[:, whole])
+    assert whole.sum() == 46 and torch.equal(native[:, whole], reference[:, whole])
     torch.testing.assert_close(native, reference, rtol=2.0**-22, atol=1e-12)
 
 
@@ -210,10 +211,12 @@ def test_samples_that_are_not_chosen_get_the_identity(kind, device):
         "permutation": Draw("permutation", (3, 5, 0.5)),
         "resized_crop": CROP,
         "rectangle": RECTANGLE,
+        "rectangles": HOLES,
         "integer": integer(1, 4, 9),
         "uniform_and_affine": Draw("uniform_and_affine", (0.0, 1.0, 2.0, 0.5, 9.0)),
     }.get(kind, Draw(kind, (0.5, 0.75, 9.0)))
     identity = {"chosen": [0], "permutation": [5, 5.5, 6], "resized_crop": [0, 0, 131, 97], "rectangle": [0] * 4}
+    identity["rectangles"] = [0] * 12
     identity["uniform_and_affine"] = [9, 18.5]
     expected = torch.tensor([identity.get(kind, [9.0])], dtype=torch.float32, device=device)
     for p, p_batch in ((0.0, 1.0), (1.0, 0.0)):
@@ -388,7 +391,7 @@ def test_plans_are_checked(device):
         (KEYS, plan[:-1], numbers, "the plan ends within a request"),
         (KEYS, [plan[0] - 1, *plan[1:]], numbers, "more columns than"),
         (KEYS, [plan[0] + 1, *plan[1:]], numbers, "the draws take"),
-        (KEYS, [*plan[:-1], 11], numbers, "a kind of draw from 0 to 10, got 11"),
+        (KEYS, [*plan[:-1], 12], numbers, "a kind of draw from 0 to 11, got 12"),
         (KEYS, plan, numbers[:-4], "expected more numbers"),
         (KEYS, *too_many[:2], "the number of draws from 0 to 64, got 65"),
         (KEYS, *too_long[:2], "at most 256 numbers"),
@@ -396,7 +399,7 @@ def test_plans_are_checked(device):
             KEYS,
             *make_plan([Request([Draw("permutation", (3, 0, 1))])])[:1],
             [1.0, 1.0, 1e9, 0, 1],
-            "entries to permute",
+            "columns of a draw",
         ),
     ]
     for keys, ints, floats, message in bad:

@@ -1,5 +1,6 @@
 """Noise of images: the same on all devices, in all layouts, batches and types; its distribution; its gradients."""
 
+import numpy as np
 import pytest
 import torch
 from scipy import stats
@@ -7,7 +8,17 @@ from torch import Tensor
 
 import kvision as K
 from kvision.augmentation.draws import philox
-from kvision.augmentation.noise import gaussian_noise, salt_and_pepper, uniform_noise
+from kvision.augmentation.noise import (
+    BY_CHANNEL,
+    CLAMP,
+    MULTIPLY,
+    RANDOM,
+    SHARED,
+    gaussian_noise,
+    salt_and_pepper,
+    shot_noise,
+    uniform_noise,
+)
 from op_tests import OpTests, assert_close, instruction_set
 
 KEYS = torch.tensor([0x123456789ABCDEF, -3])
@@ -32,15 +43,19 @@ class NoiseTests(OpTests):
     variants = [
         {"parameters": parameters, "seeds": seeds},
         {"parameters": parameters, "seeds": seeds, "chosen": lambda x: chosen(x).to(torch.int64)},
+        {"parameters": parameters, "seeds": seeds, "form": MULTIPLY | SHARED},
+        {"parameters": parameters, "seeds": seeds, "chosen": lambda x: chosen(x).to(torch.int64), "form": CLAMP},
     ]
     accepted = ("keys of torch.int64", "keys of another batch", "seeds of torch.int64", "chosen of torch.float32")
 
     @classmethod
-    def function(cls, x: Tensor, parameters: Tensor, seeds: Tensor, chosen: Tensor | None = None) -> Tensor:
+    def function(
+        cls, x: Tensor, parameters: Tensor, seeds: Tensor, chosen: Tensor | None = None, form: int = 0
+    ) -> Tensor:
         if chosen is not None:
             chosen = chosen.float()  # an integer in the variants, since it has no gradient
         x = x if x.is_floating_point() or x.dtype == torch.uint8 else x.float()
-        return cls.operator(x, parameters, KEYS[:1], seeds, chosen, [0, *PLAN[1:]])
+        return cls.operator(x, parameters, KEYS[:1], seeds, chosen, [0, *PLAN[1:], form])
 
     def test_wrong_kinds(self, variant, device):
         pytest.skip("the classes that call the operator check its input")
@@ -58,11 +73,30 @@ class TestUniformNoise(NoiseTests):
 
 class TestSaltAndPepper(NoiseTests):
     operators = ("salt_and_pepper", "salt_and_pepper_backward")
+    variants = [*NoiseTests.variants[:2], {"parameters": parameters, "seeds": seeds, "form": BY_CHANNEL | RANDOM}]
 
     @staticmethod
     def operator(x: Tensor, parameters: Tensor, *args) -> Tensor:
         # Parameters decide and get no gradient: zero times them, so that the suite may ask for one.
         return salt_and_pepper(x, parameters.detach(), *args) + (0 * parameters.sum()).to(x.dtype)
+
+
+def photons(x: Tensor, parameters: Tensor, keys: Tensor, seeds: Tensor | None, chosen: Tensor | None, plan: list[int]):
+    return shot_noise(x, parameters, keys, seeds, chosen, None, plan)
+
+
+class TestShotNoise(NoiseTests):
+    operator = staticmethod(photons)
+    operators = ("shot_noise",)
+    differentiable = False
+    variants = [
+        {"parameters": lambda x: torch.tensor([[0.05, 2.2]]).expand(x.shape[0], 2), "seeds": seeds},
+        {
+            "parameters": lambda x: torch.tensor([[0.3, 1.0]]).expand(x.shape[0], 2),
+            "seeds": seeds,
+            "chosen": lambda x: chosen(x).to(torch.int64),
+        },
+    ]
 
 
 OPERATORS = [gaussian_noise, uniform_noise, salt_and_pepper]
@@ -200,6 +234,24 @@ def test_shares_of_salt_and_pepper(amount, share, device):
     assert torch.equal(salt_and_pepper(x, 0 * columns, KEYS, None, None, PLAN), x)
 
 
+@pytest.mark.parametrize("rate", [0.05, 3.0, 63.0, 65.0, 4000.0])
+def test_photons_follow_the_poisson_distribution(rate, device):
+    """Up to 64 they are quantiles of the words, above they are next to them with a probability of 1e-4 at most."""
+    step = float(np.float32(1 / (2 * rate + 20)))
+    x = torch.full((1, 2, 150, 200), rate * step, device=device)
+    columns = torch.tensor([[step, 1.0]], device=device)
+    counts = (photons(x, columns, KEYS, None, None, PLAN) / step).round().cpu().double()
+    zero, half = torch.zeros_like(x), torch.tensor([[0.5, 0.5]], device=device)
+    u = uniform_noise(zero, half, KEYS, None, None, PLAN).cpu().double().numpy()
+    expected = torch.from_numpy(stats.poisson.ppf(u, float(x[0, 0, 0, 0]) / step)).clamp(min=0)
+    apart = (counts - expected).abs()
+    given = torch.from_numpy(u).float().to(device)
+    assert torch.equal(
+        shot_noise(x, columns, KEYS, None, None, given, PLAN), photons(x, columns, KEYS, None, None, PLAN)
+    )
+    assert apart.max() <= 1 and (apart > 0).double().mean() < (1e-4 if rate < 64 else 5e-4)
+
+
 # --- gradients ---
 
 
@@ -221,6 +273,40 @@ def test_gradients_of_added_noise(operator, device):
     assert_close(of_one, grad.sum(0, keepdim=True))
 
 
+@pytest.mark.parametrize("form", [MULTIPLY | CLAMP, CLAMP | SHARED])
+def test_forms_of_added_noise(form, device):
+    """Factors, terms of all channels, and results within the range, where the others have no gradient."""
+    x = torch.rand(3, 2, 5, 7, dtype=torch.float64, device=device, requires_grad=True)
+    columns = torch.tensor([[0.5, 0.9]], dtype=torch.float64, device=device, requires_grad=True)
+    mask = torch.tensor([1.0, 0.0, 1.0], device=device)
+    standard = torch.tensor([[0.0, 1.0]], dtype=torch.float64, device=device)
+    noise = gaussian_noise(torch.zeros_like(x), standard, KEYS, None, None, [*PLAN, form & SHARED]).detach()
+    assert torch.equal(noise[:, 0], noise[:, 1]) == bool(form & SHARED)
+    term = columns[0, 0] + columns[0, 1] * noise
+    noisy_x = (x * term if form & MULTIPLY else x + term).clamp(0, 1)
+    expected = torch.where(mask[:, None, None, None] > 0, noisy_x, x)
+    result = gaussian_noise(x, columns, KEYS, None, mask, [*PLAN, form])
+    assert_close(result, expected)
+    weights = torch.rand_like(result)
+    grads, of_expected = (torch.autograd.grad((y * weights).sum(), (x, columns)) for y in (result, expected))
+    for grad, e in zip(grads, of_expected):
+        assert_close(grad, e)
+
+
+def test_hits_of_channels_and_random_fill(device):
+    """Channels are hit apart, by noise that is uniform and independent of where it is."""
+    x = torch.full((1, 3, 100, 100), 2.0, device=device)
+    columns = torch.tensor([[0.3, 0.0]], device=device)
+    result = salt_and_pepper(x, columns, KEYS, None, None, [*PLAN, BY_CHANNEL | RANDOM])
+    hit = result != 2
+    assert not torch.equal(hit[:, 0], hit[:, 1])
+    assert stats.binomtest(int(hit.sum()), x.numel(), 0.3).pvalue > LEVEL
+    assert stats.kstest(result[hit].cpu(), stats.uniform(0, 1).cdf).pvalue > LEVEL
+    as_bytes = salt_and_pepper(x.byte(), columns, KEYS, None, None, [*PLAN, BY_CHANNEL | RANDOM])
+    assert torch.equal(as_bytes[hit], (255 * result[hit]).round().byte()) and (as_bytes[~hit] == 2).all()
+    assert torch.equal(salt_and_pepper(x, columns, KEYS, None, None, PLAN)[:, 0] == 0, hit[:, 0])
+
+
 def test_pixels_that_are_hit_get_no_gradient(device):
     x = torch.full((2, 3, 9, 9), 0.5, device=device, requires_grad=True)
     result = noisy(salt_and_pepper, x)
@@ -232,6 +318,11 @@ def test_pixels_that_are_hit_get_no_gradient(device):
 @pytest.mark.parametrize("operator", OPERATORS, ids=lambda o: o.name)
 def test_plans_are_checked(operator, device):
     x, columns = torch.zeros(2, 1, 2, 2, device=device), MIDDLE.to(device)
-    for plan, message in (([2, 0, 1, 0], "no key 2"), ([0, 0, 1], "four numbers"), ([0, -1, 1, 0], "out of range")):
+    for plan, message in (
+        ([2, 0, 1, 0], "no key 2"),
+        ([0, 0, 1], "four or five numbers"),
+        ([0, -1, 1, 0], "out of range"),
+        ([0, 0, 1, 0, 32], "a form from 0 to 31"),
+    ):
         with pytest.raises(RuntimeError, match=f"{operator.name}: .*{message}"):
             operator(x, columns, KEYS, None, None, plan)

@@ -187,7 +187,7 @@ def holes(params: dict[str, Tensor], columns: Tensor) -> Variates:
     x, y, w, h = params["holes"].double()[:, :2].unbind(2)
     side = 4096
     return {
-        "num_holes": (params["num_holes"], Integers(2, 5)),
+        "num_holes": ((params["holes"][..., 2] > 0).sum(1), Integers(2, 5)),
         "holes.width": (w[:, 0] / side, Uniform(0.2, 0.4, 1e-3)),
         "holes.height": (h[:, 1] / side, Uniform(0.1, 0.3, 1e-3)),
         "holes.x": ((x[:, 0] + 0.5) / (side - w[:, 0] + 1), Uniform(0, 1)),
@@ -449,17 +449,19 @@ SPECS = {
     "PixelDropout": Spec(
         lambda p: A.PixelDropout((0.1, 0.4), drop_value="random", p=p),
         lambda params, columns: {
-            **pixels("noise", lambda: Uniform(0, 1), (0, 0, 0), (0, 1, 2))(params, columns),
+            "dropped": (params["dropped"][:, 0, 1, 2], Coin(0.25)),
             **pixels("fill", lambda: Uniform(0, 1), (0, 0, 0), (2, 1, 2))(params, columns),
             **plain(dropout_prob=Uniform(0.1, 0.4))(params, columns),
         },
         SMALL,
+        dependent=("dropped",),
     ),
     "TimeMasking": Spec(lambda p: A.TimeMasking(3000, p=p), stripe(0), LARGE, ("holes.start",)),
     "XYMasking": Spec(
         lambda p: A.XYMasking((0, 2), (1, 3), (0.1, 0.3), (0.1, 0.3), p=p),
         lambda params, columns: {
-            **plain(num_masks_x=Integers(0, 2), num_masks_y=Integers(1, 3))(params, columns),
+            "num_masks_x": ((params["holes"][:, :2, 2] > 0).sum(1), Integers(0, 2)),
+            "num_masks_y": ((params["holes"][:, 2:, 3] > 0).sum(1), Integers(1, 3)),
             "holes.length": (params["holes"][:, 2, 3].double() / 4096, Uniform(0.1, 0.3, 1e-3)),
         },
         LARGE,
@@ -482,7 +484,7 @@ SPECS = {
     ),
     "MultiplicativeNoise": Spec(
         lambda p: A.MultiplicativeNoise((0.9, 1.1), True, True, p=p),
-        pixels("noise", lambda: Uniform(0, 1), (0, 0, 0), (2, 3, 4)),
+        pixels("factors", lambda: Uniform(0.9, 1.1), (0, 0, 0), (2, 3, 4)),
         SMALL,
     ),
     "RingingOvershoot": Spec(
@@ -495,7 +497,10 @@ SPECS = {
     ),
     "SpeckleNoise": Spec(
         lambda p: A.SpeckleNoise((0.1, 0.4), p=p),
-        pixels("noise", lambda: Normal(0, 1), (0, 0, 0), (2, 3, 4), std=Uniform(0.1, 0.4)),
+        lambda params, columns: {
+            "std": (params["std"], Uniform(0.1, 0.4)),
+            "factors": ((params["factors"][:, 2, 3, 4] - 1) / params["std"], Normal(0, 1)),
+        },
         SMALL,
     ),
     "ZoomBlur": Spec(

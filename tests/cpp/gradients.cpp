@@ -195,12 +195,12 @@ int main() {
       false);
   auto const uniform = [&](auto const& t) { return ops::uniform_noise(t[0], t[1], keys, none, half, draw); };
   check("uniform_noise", uniform, {x, torch::rand({2, 2})});
-  Tensor const shares = torch::full({1, 2}, 0.5, torch::kDouble), boxes = torch::tensor({{1.f, 2.f, 3.f, 2.f}});
+  Tensor const shares = torch::full({1, 2}, 0.5, torch::kDouble), boxes = torch::tensor({{{1.f, 2.f, 3.f, 2.f}}});
   check("salt_and_pepper", [&](auto const& t) { return ops::salt_and_pepper(t[0], shares, keys, none, none, draw); },
         {x});
   check(
       "erase_rectangles", [&](auto const& t) { return ops::erase_rectangles(t[0], boxes, t[1]); },
-      {x, torch::rand({2})}, false);
+      {x, torch::rand({2, 1})}, false);
   check(
       "transform_matrix",
       [](auto const& t) {

@@ -29,6 +29,10 @@ inline constexpr Operator<"apply_operation", Two(Tensor images, Tensor operation
 inline constexpr Operator<"choose_operations", Two(Tensor columns, Tensor table, int64_t count, double top_level)>
     choose_operations{no_gradient};
 
+// --- augmentation/corruption/moved_op.cpp
+
+inline constexpr Operator<"sum_of_moved", Tensor(Tensor images, Tensor moves)> sum_of_moved{no_gradient};
+
 // --- augmentation/draw_links_op.cpp
 
 inline constexpr Operator<"draw_links",
@@ -79,6 +83,9 @@ inline constexpr Operator<"gaussian_noise", Tensor(Tensor images, Tensor paramet
 inline constexpr Operator<"uniform_noise", Tensor(Tensor images, Tensor parameters, Tensor keys, OptionalTensor seeds,
                                                   OptionalTensor chosen, Ints plan)>
     uniform_noise{detail::rules::uniform_noise};
+inline constexpr Operator<"shot_noise", Tensor(Tensor images, Tensor parameters, Tensor keys, OptionalTensor seeds,
+                                               OptionalTensor chosen, OptionalTensor uniform, Ints plan)>
+    shot_noise{non_differentiable};
 inline constexpr Operator<"salt_and_pepper", Tensor(Tensor images, Tensor parameters, Tensor keys, OptionalTensor seeds,
                                                     OptionalTensor chosen, Ints plan)>
     salt_and_pepper{Rule{detail::salt_and_pepper_gradients, 0, false}};

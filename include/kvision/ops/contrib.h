@@ -16,6 +16,11 @@ inline variable_list combine_patches_gradients(Backward const& b);
 
 inline constexpr Operator<"connected_components", Tensor(Tensor input)> connected_components{non_differentiable};
 
+// --- contrib/diamond_square_op.cpp
+
+inline constexpr Operator<"refine_fractal", Tensor(Tensor images, Tensor noise, Tensor weights)> refine_fractal{
+    no_gradient};
+
 // --- contrib/distance_exact_op.cpp
 
 inline constexpr Operator<"distance_transform_exact", Tensor(Tensor input)> distance_transform_exact{

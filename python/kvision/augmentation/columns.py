@@ -213,8 +213,8 @@ def identity_values(draws: Sequence[Draw | Learned]) -> list[float]:
             values += [first + step * i for i in range(int(n))]
         elif draw.kind == "resized_crop":
             values += [0.0, 0.0, draw.numbers[5], draw.numbers[4]]
-        elif draw.kind == "rectangle":
-            values += [0.0] * 4
+        elif draw.kind in ("rectangle", "rectangles"):
+            values += [0.0] * draw.columns
         else:
             values.append(draw.numbers[-1])
     return values

@@ -49,9 +49,12 @@ KINDS = {
     # Lowest, highest, scale, offset, identity of a real number v: v and scale * v + offset.
     "uniform_and_affine": Kind(9, 5, 2),
     "uniform_of_sample": Kind(10, 3, 1),  # uniform, and another one for each sample also under same_on_batch
+    # Four times the most rectangles, the fewest, lowest and highest height, whether these are pixels and not fractions, the same
+    # of widths, height, width: x, y, w, h of each. Those behind a random number have no area.
+    "rectangles": Kind(11, 10, 0),
 }
 _NAMES = tuple(KINDS)
-SIZED = ("resized_crop", "rectangle")  # the last two of their numbers are the size of the image
+SIZED = ("resized_crop", "rectangle", "rectangles")  # the last two of their numbers are the size of the image
 CHOSEN, BATCH_SAMPLE = 0, 0xFFFFFFFF  # the draw that decides about p; the sample that decides about p_batch
 TRIES = 10  # for a crop that lies in the image
 GAMMA_TRIES = 8  # each is accepted with a probability above .95
@@ -297,6 +300,30 @@ def _rectangle(words: _Words, numbers: Sequence[float]) -> _Columns:
     return [(value, 0.0) for value in (_offset(c, width, w), _offset(d, height, h), w, h)]
 
 
+def _rectangles(words: _Words, numbers: Sequence[float]) -> _Columns:
+    columns, fewest, min_height, max_height, whole_height, min_width, max_width, whole_width, height, width = numbers
+    most = int(columns) // 4
+    count = fewest + _up_to(words()[0], most - int(fewest) + 1)
+    values = []
+    for i in range(most):
+        a, b, c, d = words(1 + i)
+        h, w = (
+            _length(c, min_height, max_height, whole_height, height),
+            _length(d, min_width, max_width, whole_width, width),
+        )
+        values += [torch.where(i < count, value, 0.0) for value in (_offset(a, width, w), _offset(b, height, h), w, h)]
+    return [(value, 0.0) for value in values]
+
+
+def _length(word: Tensor, lowest: float, highest: float, is_whole: float, size: float) -> Tensor:
+    """Whole pixels, at least one where the lowest length is above 0, and at most all."""
+    if is_whole:
+        length = lowest + _up_to(word, int(highest - lowest) + 1).double()
+    else:
+        length = (_between(word, lowest, highest) * size).round()
+    return length.clamp(min(1.0, size) if lowest > 0 else 0.0, size)
+
+
 def _beta(words: _Words, numbers: Sequence[float]) -> _Columns:
     """The ratio of a gamma variate to the sum of two, from their logarithms."""
     alpha, beta, identity = numbers
@@ -369,6 +396,7 @@ _VALUES: dict[str, Callable[[_Words, Sequence[float]], _Columns]] = {
     "normal": _normal,
     "uniform_and_affine": _uniform_and_affine,
     "uniform_of_sample": _uniform,
+    "rectangles": _rectangles,
 }
 
 

@@ -60,22 +60,18 @@ class RandomErasing(IntensityAugmentationBase2D, keeps_contract=True):
         values = params["values"].to(compute_dtype(input))
         if input.dtype == torch.uint8:
             values = values * 255
-        boxes = self._param_generator.to_columns(params, tuple(input.shape))
+        boxes = self._param_generator.to_columns(params, tuple(input.shape))[:, None]
         if values.dim() == 4:
             noise = values.round() if input.dtype == torch.uint8 else values
             return torch.where(is_erased(input, boxes), noise.to(input.dtype), input)
-        if values.dim() == 2:  # as images of one channel
-            boxes = boxes.repeat_interleave(input.shape[1], 0)
-            planes = erase_rectangles(input.flatten(0, 1)[:, None], boxes, values.flatten())
-            return planes.reshape(input.shape)
-        y: Tensor = erase_rectangles(input, boxes, values)
+        y: Tensor = erase_rectangles(input, boxes, values if values.dim() == 2 else values[:, None])
         return y
 
     def transform_masks(self, masks: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
         if not execution.applied:
             return masks
         params = self._params_on_device(masks, execution)
-        erased = is_erased(masks, self._param_generator.to_columns(params, execution.shape))
+        erased = is_erased(masks, self._param_generator.to_columns(params, execution.shape)[:, None])
         if execution.chosen is not None:
             erased = erased & execution.chosen.to(masks.device)[:, None, None, None]
         return masks.masked_fill(erased, flags.get("mask_fill", 0))

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from kvision._clamp import clamp
 from kvision._constants import constant
 from kvision._ops import Operator, match_layout, register, saturate_to_byte
 from kvision.augmentation.draws import MAX_DRAWS, philox, unit
@@ -21,8 +22,16 @@ from kvision.augmentation.keys import Keys, flatten_draws
 # Arguments of the operators: images (B, C, H, W); parameters (B, 2) of the type that is computed in, for images in [0, 1]
 # (bytes have 255 times their noise); keys (K,) int64 on the CPU or the images' device; seeds (B,) int64, which replace the
 # keys, or None; chosen (B,) float32, 0 for samples that stay as they are, or None; and the plan: index of the key, position
-# in the chain, index of the draw, same_on_batch.
+# in the chain, index of the draw, same_on_batch and, where it is not 0, the form, a sum of flags (csrc/augmentation/noise.h).
 _FLATTEN = flatten_draws(keys=2)
+# Of normal and uniform noise: images are multiplied by it; results are clamped to [0, 1]; all channels share it.
+MULTIPLY, CLAMP, SHARED = 1, 2, 4
+# Of pixels that are hit: those of each channel; they get uniform noise, that of the next draw, in place of salt and pepper.
+BY_CHANNEL, RANDOM = 8, 16
+
+
+def _form(plan: Sequence[int]) -> int:
+    return plan[4] if len(plan) > 4 else 0
 
 
 def _words(
@@ -30,7 +39,7 @@ def _words(
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """The four words (B, planes, n) of each block of four pixels."""
     batch, device = images.shape[0], images.device
-    index, position, draw, same = plan
+    index, position, draw, same = plan[:4]
     key = keys.to(device)[index].expand(batch) if seeds is None else seeds.expand(batch)
     sample = torch.arange(batch, device=device)
     sample = torch.zeros_like(sample) if same or seeds is not None else sample
@@ -88,9 +97,9 @@ def _gaussian_reference(
     chosen: Tensor | None,
     plan: Sequence[int],
 ) -> Tensor:
-    first, second, third, fourth = _words(images, images.shape[1], keys, seeds, plan)
+    first, second, third, fourth = _words(images, _planes(images, plan), keys, seeds, plan)
     normals = _by_pixel((*_normals(first, second), *_normals(third, fourth)), images)
-    return _added(normals, images, parameters, chosen)
+    return _added(normals, images, parameters, chosen, _form(plan))
 
 
 def _uniform_reference(
@@ -102,15 +111,23 @@ def _uniform_reference(
     plan: Sequence[int],
 ) -> Tensor:
     """Words as signed numbers, in units of 2^31."""
-    words = _by_pixel(_words(images, images.shape[1], keys, seeds, plan), images)
+    words = _by_pixel(_words(images, _planes(images, plan), keys, seeds, plan), images)
     signed = torch.where(words < 2**31, words, words - 2**32)
-    return _added(signed.to(parameters.dtype) * 2.0**-31, images, parameters, chosen)
+    return _added(signed.to(parameters.dtype) * 2.0**-31, images, parameters, chosen, _form(plan))
 
 
-def _added(noise: Tensor, images: Tensor, parameters: Tensor, chosen: Tensor | None) -> Tensor:
+def _planes(images: Tensor, plan: Sequence[int]) -> int:
+    return 1 if _form(plan) & SHARED else images.shape[1]
+
+
+def _added(noise: Tensor, images: Tensor, parameters: Tensor, chosen: Tensor | None, form: int) -> Tensor:
     """Images with noise of a mean, the first parameter, times the second one."""
-    mean, scale = (_full_range(images) * parameters[:, :, None, None, None]).unbind(1)
-    return _stored(_computed(images) + (scale * noise.to(parameters.dtype) + mean), images, chosen)
+    most, x = _full_range(images), _computed(images)
+    factor = 1 if form & MULTIPLY else most
+    mean, scale = (factor * parameters[:, :, None, None, None]).unbind(1)
+    noise = scale * noise.to(parameters.dtype) + mean
+    y = x * noise if form & MULTIPLY else x + noise
+    return _stored(clamp(y, 0, most) if form & CLAMP else y, images, chosen)
 
 
 def _noise_backward(
@@ -124,14 +141,27 @@ def _noise_backward(
     chosen: Tensor | None,
     plan: Sequence[int],
 ) -> list[Tensor | None]:
-    if not needs[1]:
+    form = _form(plan)
+    if not needs[1] and not form & (MULTIPLY | CLAMP):
         return [grad, None]
-    # The noise alone, which only ranges with gradients need.
+    # The noise alone, which only factors, clamped results and ranges with gradients need.
     standard = constant(((0.0, 1.0),), parameters)
-    grads = _computed(grad)
-    noise = _ADDED[operator](torch.zeros_like(grads), standard, keys, seeds, chosen, plan)
-    to_mean = torch.where(_is_chosen(chosen, images), grads, 0.0).sum((1, 2, 3))
-    return [grad, torch.stack([to_mean, (grads * noise).sum((1, 2, 3))], 1).sum_to_size(parameters.shape)]
+    grads, x, is_chosen = _computed(grad), _computed(images), _is_chosen(chosen, images)
+    noise = _ADDED[operator](torch.zeros_like(grads), standard, keys, seeds, chosen, [*plan[:4], form & SHARED])
+    mean, scale = parameters[:, :, None, None, None].unbind(1)
+    term = mean + scale * noise
+    to_result = torch.where(is_chosen, grads, 0.0)
+    if form & CLAMP:
+        y = x * term if form & MULTIPLY else x + term
+        to_result = torch.where((y < 0) | (y > 1), 0.0, to_result)
+    to_images = grad
+    if form & (MULTIPLY | CLAMP):
+        to_images = torch.where(is_chosen, to_result * term if form & MULTIPLY else to_result, grads).to(grad.dtype)
+    if not needs[1]:
+        return [to_images, None]
+    to_term = to_result * x if form & MULTIPLY else to_result
+    to_each = torch.stack([to_term.sum((1, 2, 3)), (to_term * noise).sum((1, 2, 3))], 1)
+    return [to_images, to_each.sum_to_size(parameters.shape)]
 
 
 def _register_added(name: str, reference: Callable[..., Tensor]) -> Operator:
@@ -144,11 +174,56 @@ uniform_noise = _register_added("uniform_noise", _uniform_reference)
 _ADDED = {"gaussian_noise": gaussian_noise, "uniform_noise": uniform_noise}
 
 
+def poisson_quantile(u: Tensor, rate: Tensor) -> Tensor:
+    """The least count whose cumulative probability is at least `u`, uniform in [0, 1), so that counts have the distribution.
+
+    The expansion of Cornish and Fisher is at most one off from rates of .1 on, below which hardly a count is above 2. The
+    distribution itself, a function of the incomplete gamma function, says which way.
+    """
+    z = torch.special.ndtri(u.clamp(1e-7, 1 - 1e-7))
+    count = (rate + rate.sqrt() * z + (z * z - 1) / 6).floor().clamp(min=0)
+    count = torch.where(rate < 0.1, count.clamp(max=1), count)
+    probability = (count * rate.clamp(min=1e-30).log() - rate - torch.lgamma(count + 1)).exp()
+    cumulative = torch.special.gammaincc(count + 1, rate)
+    is_above = (count > 0) & (cumulative - probability >= u)
+    return count + (cumulative < u).to(count) - is_above.to(count)
+
+
+def _shot_reference(
+    images: Tensor,
+    parameters: Tensor,
+    keys: Tensor,
+    seeds: Tensor | None,
+    chosen: Tensor | None,
+    uniform: Tensor | None,
+    plan: Sequence[int],
+) -> Tensor:
+    """Light, images to the power of the second parameter, as multiples of a step, the first one: Poisson variates of its mean.
+
+    They are quantiles of the words, or of given numbers `uniform` in [0, 1], float32 of the shape of images. Kernels sum
+    probabilities up to a mean of 64, and use an expansion above, which is one off with a probability of at most 1e-4.
+    """
+    if uniform is None:
+        words = _by_pixel(_words(images, images.shape[1], keys, seeds, plan), images)
+        uniform = unit(words ^ 2**31).float()
+    step, power = parameters[:, :, None, None, None].unbind(1)
+    counts = poisson_quantile(
+        uniform.to(parameters.dtype), (_computed(images) / _full_range(images)).clamp(0, 1) ** power / step
+    )
+    return _stored(_full_range(images) * (counts * step).clamp(0, 1) ** (1 / power), images, chosen)
+
+
+shot_noise = register(
+    "shot_noise", _shot_reference, non_differentiable=(0,), bytes=True, casts_outputs=True, flatten=_FLATTEN
+)
+
+
 def _hits(
     images: Tensor, parameters: Tensor, keys: Tensor, seeds: Tensor | None, plan: Sequence[int]
 ) -> tuple[Tensor, Tensor]:
-    """Which pixels (B, 1, H, W) are hit, and which of them by salt."""
-    words = unit(_by_pixel(_words(images, 1, keys, seeds, plan), images))
+    """Which pixels (B, 1, H, W), or (B, C, H, W) by channel, are hit, and which of them by salt."""
+    planes = images.shape[1] if _form(plan) & BY_CHANNEL else 1
+    words = unit(_by_pixel(_words(images, planes, keys, seeds, plan), images))
     amount, salt = parameters.double()[:, :, None, None, None].unbind(1)
     return words < amount, words < amount * salt
 
@@ -163,8 +238,13 @@ def _salt_and_pepper_reference(
 ) -> Tensor:
     """Pixels are hit with the probability of the first parameter; those hit are salt with the probability of the second."""
     hit, salt = _hits(images, parameters, keys, seeds, plan)
-    x = _computed(images)
-    return _stored(torch.where(hit, salt.to(x.dtype) * _full_range(images), x), images, chosen)
+    x, most = _computed(images), _full_range(images)
+    fill = salt.to(x.dtype)
+    if _form(plan) & RANDOM:
+        index, position, draw, *rest = plan
+        words = _by_pixel(_words(images, images.shape[1], keys, seeds, [index, position, draw + 1, *rest]), images)
+        fill = (words >> 8).to(x.dtype) * 2.0**-24
+    return _stored(torch.where(hit, fill * most, x), images, chosen)
 
 
 def _salt_and_pepper_backward_reference(
@@ -213,10 +293,10 @@ class PixelNoise(NamedTuple):
     device: torch.device
     chosen: Tensor | None = None  # (B,), as the operators take it
 
-    def arguments(self, map: int = 0) -> tuple[Tensor, Tensor | None, Tensor | None, tuple[int, int, int, int]]:
+    def arguments(self, map: int = 0, form: int = 0) -> tuple[Tensor, Tensor | None, Tensor | None, tuple[int, ...]]:
         """The arguments of the operators after the parameters."""
         plan = noise_plan(self.number, self.keys.has_seed, self.same_on_batch, map)
-        return self.keys.keys, self.keys.seeds_on(self.device), self.chosen, plan
+        return self.keys.keys, self.keys.seeds_on(self.device), self.chosen, (*plan, form) if form else plan
 
     def uniform(self, shape: Sequence[int], map: int = 0) -> Tensor:
         """Uniform noise (B, C, H, W) in [0, 1], float64."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import torch
 from torch import Tensor
 
 from kvision._dtype import compute_dtype
@@ -59,9 +58,6 @@ class RandomGaussianNoise(IntensityAugmentationBase2D, keeps_contract=True):
         if "_noise" not in params:
             return input + params["gaussian_noise"]
         parameters, noise = params["_noise"]
-        if input.dtype == torch.float64:  # the noise that `_params` has is float32
-            zero = torch.zeros(input.shape, device=input.device)
-            return input + gaussian_noise(zero, parameters.float(), *noise.arguments())
         y: Tensor = gaussian_noise(input, parameters.to(compute_dtype(input)), *noise.arguments())
         return y
 

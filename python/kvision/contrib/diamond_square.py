@@ -9,6 +9,8 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from kvision import _check
+from kvision._dtype import compute_dtype
+from kvision._ops import register
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 from kvision.enhance.min_max import normalize_min_max
 
@@ -71,7 +73,9 @@ def diamond_square(
     image = _seed(noise, upright=columns == 3)
     for _ in range(doublings):
         weight = weight * grow
-        image = _refined(image, weight, random_fn)
+        size = [planes, 1, 2 * image.shape[2] - 1, 2 * image.shape[3] - 1]
+        noise = random_fn(torch.Size(size), device=image.device, dtype=image.dtype)
+        image = refine_fractal(image, noise.to(image.dtype), weight.to(compute_dtype(image)))
     image = image[..., :h, :w].reshape(b, c, h, w)
     if normalize_range is None:
         return image
@@ -126,13 +130,17 @@ def _squares(x: Tensor) -> Tensor:
     return torch.where(new, total / torch.where(border, 3, 4), x)
 
 
-def _refined(image: Tensor, weight: Tensor, random_fn: Callable[..., Tensor]) -> Tensor:
-    planes, _, h, w = image.shape
-    x = image.new_zeros(planes, 1, 2 * h - 1, 2 * w - 1)
-    x[..., ::2, ::2] = image
-    noise = random_fn(x.size(), device=x.device, dtype=x.dtype)
-    mixed = torch.lerp(_diamonds(x), noise, weight)
-    x[..., 1::2, 1::2] = mixed[..., 1::2, 1::2]
-    mixed = torch.lerp(_squares(x), noise, weight)
+def _reference(images: Tensor, noise: Tensor, weights: Tensor) -> Tensor:
+    """One step of (N, 1, H, W), with noise (N, 1, 2 H - 1, 2 W - 1), whose weight (N, 1, 1, 1) is that in the mean with it."""
+    # At odd indices, whose values follow, there may be anything.
+    x = images.repeat_interleave(2, 2).repeat_interleave(2, 3)[..., :-1, :-1]
     rows, columns = (torch.arange(n, device=x.device) % 2 for n in x.shape[-2:])
-    return torch.where(rows[:, None] != columns, mixed, x)
+    x = torch.where((rows[:, None] * columns).bool(), torch.lerp(_diamonds(x), noise, weights), x)
+    return torch.where(rows[:, None] != columns, torch.lerp(_squares(x), noise, weights), x)
+
+
+refine_fractal = register(
+    "refine_fractal",
+    _reference,
+    fake=lambda images, noise, weights: noise.shape,
+)

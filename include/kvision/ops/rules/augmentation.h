@@ -12,6 +12,9 @@ namespace kvision::ops::detail::rules {
 // The mean and the scale have the sums of the gradient and of its product with the noise alone.
 template <Name op>
 inline constexpr auto noise_gradients = [](Backward const& b) -> variable_list {
+  Ints const plan = b.arguments[5].toIntVector();
+  TORCH_CHECK_NOT_IMPLEMENTED(plan.size() < 5 || !(plan[4] & 3),
+                              op.text, ": C++ has no gradient of factors and of clamped noise; Python's kvision has");
   if (!b.needs(1)) return {b.grad()};
   Tensor const parameters = b.tensor(1), grad = b.grad().to(parameters.scalar_type());
   Tensor const standard = at::stack({at::zeros({1}, parameters.options()), at::ones({1}, parameters.options())}, 1);
@@ -26,7 +29,7 @@ inline constexpr auto erased_gradients = [](Backward const& b) -> variable_list 
   Tensor const values = b.tensor(2),
                kept = b.call("erase_rectangles", {{"images", b.grad()}, {"values", at::zeros_like(values)}})[0];
   if (!b.needs(2)) return {kept};
-  return {kept, Tensor(), at::sum_to((b.grad() - kept).to(values.scalar_type()).sum({1, 2, 3}), values.sizes())};
+  return {kept, Tensor(), at::sum_to((b.grad() - kept).to(values.scalar_type()).sum({2, 3}), values.sizes())};
 };
 
 // The columns have gradients from the steps that read them and from the matrices that are made of them.

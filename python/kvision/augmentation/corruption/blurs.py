@@ -11,14 +11,13 @@ from torch import Tensor
 from kvision import _check
 from kvision._choices import Border
 from kvision._dtype import compute_dtype
-from kvision.augmentation import maps, ranges
+from kvision.augmentation import ranges
+from kvision.augmentation.corruption.moved import sum_of_moved
 from kvision.augmentation.corruption.noises import params_in_type_of
 from kvision.augmentation.engine import Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
 from kvision.augmentation.random_generator.mapped import MappedGenerator, NoiseMap
 from kvision.augmentation.ranges import Numbers
-from kvision.augmentation.samples import per_sample
-from kvision.augmentation.warp_and_color import Resampling
 from kvision.core.exceptions import ValueCheckError
 from kvision.filters.filter2d import filter2d
 from kvision.filters.smoothing.gaussian import gaussian_blur2d
@@ -74,23 +73,15 @@ def glass(x: Tensor, u: Tensor, sigma: float, max_delta: int, border: Border = "
 def mean_of_enlargements(x: Tensor, largest: Tensor, step: Tensor, most: int) -> Tensor:
     """The mean of images, once more of themselves, and of enlargements by 1 + k step below `largest`, for k up to `most`."""
     height, width = x.shape[-2:]
-    total = 2 * x.to(step.dtype)
-    count = torch.full_like(step, 2)
-    zero = torch.zeros_like(step)
-    for k in range(1, most):  # one pass over the images for each
-        factor = 1 + k * step
-        exists = (factor < largest).to(step)
-        shrink = 1 / factor
-        left, top = (1 - shrink) * ((width - 1) / 2), (1 - shrink) * ((height - 1) / 2)
-        one = torch.ones_like(step)
-        matrix = torch.stack([shrink, zero, left, zero, shrink, top, zero, zero, one], 1).unflatten(1, (3, 3))
-        zoomed = maps.warp(x, matrix, (height, width), _INSIDE, inverse=False)
-        total = total + per_sample(exists, x) * zoomed
-        count = count + exists
-    return total / per_sample(count, x)
-
-
-_INSIDE = Resampling("bilinear", "border", True)
+    k = torch.arange(max(most, 1), device=x.device, dtype=step.dtype)
+    factors = 1 + k * step[:, None]
+    counts = torch.where(k == 0, 2.0, (factors < largest[:, None]).to(step))
+    shrink = 1 / factors
+    moved = 1 - shrink
+    weights = counts / counts.sum(1, keepdim=True)
+    moves = torch.stack([shrink, moved * ((width - 1) / 2), moved * ((height - 1) / 2), weights], 2)
+    y: Tensor = sum_of_moved(x, moves)
+    return y
 
 
 class Defocus(IntensityAugmentationBase2D, keeps_contract=True):
@@ -218,8 +209,6 @@ class ZoomBlur(IntensityAugmentationBase2D, keeps_contract=True):
         >>> K.augmentation.ZoomBlur(p=1.0)(torch.full((1, 1, 8, 8), 0.25)).mean()
         tensor(0.2500)
     """
-
-    accepts_bytes = False
 
     def __init__(
         self,

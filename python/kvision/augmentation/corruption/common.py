@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, ClassVar, NamedTuple
 
 import torch
@@ -11,18 +11,20 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._clamp import clamp
+from kvision._constants import constant
 from kvision._dtype import compute_dtype
 from kvision.augmentation import maps
 from kvision.augmentation.corruption.blurs import disk_kernels, glass, mean_of_enlargements, reach_of
 from kvision.augmentation.corruption.downscale import block_means
-from kvision.augmentation.corruption.poisson import poisson_quantile
+from kvision.augmentation.corruption.moved import sum_of_moved
+from kvision.augmentation.corruption.noises import as_stored, in_units, photons
 from kvision.augmentation.corruption.weather import WINDOW, as_textures, cut_textures, fogged
 from kvision.augmentation.engine import Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
+from kvision.augmentation.noise import BY_CHANNEL, CLAMP, MULTIPLY, PixelNoise, gaussian_noise, salt_and_pepper
 from kvision.augmentation.random_generator.base import RandomGeneratorBase
-from kvision.augmentation.random_generator.mapped import MappedGenerator, NoiseMap
+from kvision.augmentation.random_generator.mapped import Map, MappedGenerator, NoiseMap
 from kvision.augmentation.random_generator.plasma import PlasmaGenerator
-from kvision.augmentation.samples import per_sample
 from kvision.augmentation.warp_and_color import Resampling
 from kvision.color.gray import rgb_to_grayscale
 from kvision.color.hsv import hsv_to_rgb, rgb_to_hsv
@@ -40,16 +42,64 @@ def _gaussian_noise(x: Tensor, drawn: Params, deviation: float) -> Tensor:
 
 
 def _shot_noise(x: Tensor, drawn: Params, photons: float) -> Tensor:
-    return poisson_quantile(drawn["noise"], clamp(x.detach(), 0, 1) * photons) / photons
+    return _photons(x, drawn["noise"], photons)
+
+
+_NO_IMPULSE = 0.5
 
 
 def _impulse_noise(x: Tensor, drawn: Params, amount: float) -> Tensor:
-    u = drawn["noise"]
-    return torch.where(u < amount, (u < amount / 2).to(x), x)
+    impulses = drawn["noise"]
+    return torch.where(impulses == _NO_IMPULSE, x, impulses)
+
+
+class Impulses(NamedTuple):
+    """A map like :class:`NoiseMap` of 1 and 0 where pixels of channels are hit, and between elsewhere."""
+
+    amount: float
+
+    def draw(self, noise: PixelNoise, shape: Sequence[int], number: int) -> Tensor:
+        """The map with a number of its own among those of an augmentation, float32."""
+        return _impulses(torch.full(tuple(shape), _NO_IMPULSE, device=noise.device), noise, self.amount)
+
+
+# The same in one pass over images of any type, which draws the noise.
+
+
+def _photons(x: Tensor, noise: PixelNoise | Tensor, count: float) -> Tensor:
+    return photons(x, constant(((1 / count, 1.0),), x, compute_dtype(x)), noise)
+
+
+def _impulses(x: Tensor, noise: PixelNoise, amount: float) -> Tensor:
+    parameters = constant(((amount, 0.5),), x, compute_dtype(x))
+    y: Tensor = salt_and_pepper(x, parameters, *noise.arguments(form=BY_CHANNEL))
+    return y
+
+
+def _normal_terms(x: Tensor, noise: PixelNoise, deviation: float) -> Tensor:
+    parameters = constant(((0.0, deviation),), x, compute_dtype(x))
+    y: Tensor = gaussian_noise(x, parameters, *noise.arguments(form=CLAMP))
+    return y
+
+
+def _normal_factors(x: Tensor, noise: PixelNoise, deviation: float, form: int = MULTIPLY | CLAMP) -> Tensor:
+    parameters = constant(((1.0, deviation),), x, compute_dtype(x))
+    y: Tensor = gaussian_noise(x, parameters, *noise.arguments(form=form))
+    return y
 
 
 def _speckle_noise(x: Tensor, drawn: Params, deviation: float) -> Tensor:
-    return x + x * (deviation * drawn["noise"])
+    return x * drawn["noise"]
+
+
+class Factors(NamedTuple):
+    """A map like :class:`NoiseMap` of normal factors about 1."""
+
+    deviation: float
+
+    def draw(self, noise: PixelNoise, shape: Sequence[int], number: int) -> Tensor:
+        """The map with a number of its own among those of an augmentation, float32."""
+        return _normal_factors(torch.ones(tuple(shape), device=noise.device), noise, self.deviation, MULTIPLY)
 
 
 def _gaussian_blur(x: Tensor, drawn: Params, sigma: float) -> Tensor:
@@ -68,18 +118,14 @@ def _defocus_blur(x: Tensor, drawn: Params, radius: float, alias_blur: float) ->
 def _motion_blur(x: Tensor, drawn: Params, radius: int, sigma: float) -> Tensor:
     """Means along a line that begins at the pixel, with the weights of half a Gaussian; borders are replicated."""
     (height, width), count = x.shape[-2:], 2 * radius + 1
-    angle = drawn["angle"] * (math.pi / 180)
-    weights = [math.exp(-0.5 * (i / sigma) ** 2) for i in range(count)]
-    y, x_at = (torch.arange(n, device=x.device) for n in (height, width))
-    flat, total = x.flatten(2), torch.zeros_like(x)
-    for i, weight in enumerate(weights):  # one pass over the images for each
-        down, right = ((i * along - 0.5).ceil().long() for along in (angle.sin(), angle.cos()))
-        is_inside = (down.abs() < height) & (right.abs() < width)
-        at = (y + down[:, None]).clamp(0, height - 1)[:, :, None] * width
-        at = at + (x_at + right[:, None]).clamp(0, width - 1)[:, None]
-        read = flat.gather(2, at.flatten(1)[:, None].expand(-1, x.shape[1], -1)).view_as(x)
-        total = total + per_sample(is_inside.to(x), x) * (weight / sum(weights)) * read
-    return total
+    angle = drawn["angle"][:, None] * (math.pi / 180)
+    weights = (-0.5 * (torch.arange(count, device=x.device, dtype=x.dtype) / sigma) ** 2).exp()
+    i = torch.arange(count, device=x.device)
+    down, right = ((i * along - 0.5).ceil() for along in (angle.sin(), angle.cos()))
+    is_inside = (down.abs() < height) & (right.abs() < width)
+    moves = torch.stack([torch.ones_like(right), right, down, is_inside * (weights / weights.sum())], 2)
+    y: Tensor = sum_of_moved(x, moves)
+    return y
 
 
 def _zoom_blur(x: Tensor, drawn: Params, count: int, step: float) -> Tensor:
@@ -163,8 +209,9 @@ class Corruption(NamedTuple):
 
     apply: Callable[..., Tensor]
     severities: tuple[tuple[float, ...], ...]
-    map: NoiseMap | None = None
+    map: Map | None = None
     angle: tuple[float, float] | None = None  # degrees
+    fused: Callable[..., Tensor] | None = None  # of images of any type, the source of noise and the parameters
 
 
 def _each(*numbers: float) -> tuple[tuple[float, ...], ...]:
@@ -176,9 +223,9 @@ _UNIFORM, _NORMAL, _PLANE = NoiseMap(), NoiseMap(True), (1, None, None)
 # perturbations, ICLR 2019, as in the package imagecorruptions 1.1.2 for images of any size. The first 15 are the benchmark, the
 # others its validation set.
 CORRUPTIONS: dict[str, Corruption] = {
-    "gaussian_noise": Corruption(_gaussian_noise, _each(0.08, 0.12, 0.18, 0.26, 0.38), _NORMAL),
-    "shot_noise": Corruption(_shot_noise, _each(60, 25, 12, 5, 3), _UNIFORM),
-    "impulse_noise": Corruption(_impulse_noise, _each(0.03, 0.06, 0.09, 0.17, 0.27), _UNIFORM),
+    "gaussian_noise": Corruption(_gaussian_noise, _each(0.08, 0.12, 0.18, 0.26, 0.38), _NORMAL, fused=_normal_terms),
+    "shot_noise": Corruption(_shot_noise, _each(60, 25, 12, 5, 3), _UNIFORM, fused=_photons),
+    "impulse_noise": Corruption(_impulse_noise, _each(0.03, 0.06, 0.09, 0.17, 0.27), fused=_impulses),
     "defocus_blur": Corruption(_defocus_blur, ((3, 0.1), (4, 0.5), (6, 0.5), (8, 0.5), (10, 0.5))),
     "glass_blur": Corruption(
         _glass_blur,
@@ -212,7 +259,7 @@ CORRUPTIONS: dict[str, Corruption] = {
     ),
     "pixelate": Corruption(_pixelate, _each(0.6, 0.5, 0.4, 0.3, 0.25)),
     "jpeg_compression": Corruption(_jpeg_compression, _each(25, 18, 15, 10, 7)),
-    "speckle_noise": Corruption(_speckle_noise, _each(0.15, 0.2, 0.35, 0.45, 0.6), _NORMAL),
+    "speckle_noise": Corruption(_speckle_noise, _each(0.15, 0.2, 0.35, 0.45, 0.6), fused=_normal_factors),
     "gaussian_blur": Corruption(_gaussian_blur, _each(1, 2, 3, 4, 6)),
     "saturate": Corruption(_saturate, ((0.3, 0), (0.1, 0), (2, 0), (5, 0.1), (20, 0.2))),
 }
@@ -248,7 +295,6 @@ class CommonCorruption(IntensityAugmentationBase2D, keeps_contract=True):
 
     NAMES: ClassVar[tuple[str, ...]] = tuple(CORRUPTIONS)
 
-    accepts_bytes = False
     texture: Tensor | None
 
     def __init__(
@@ -271,22 +317,31 @@ class CommonCorruption(IntensityAugmentationBase2D, keeps_contract=True):
             raise ValueCheckError(f"{op}: expected texture for 'frost' and no other name, got {name!r}")
         self.name, self.severity = name, severity
         self.register_buffer("texture", None if texture is None else as_textures(op, texture), persistent=False)
+        self.accepts_bytes = self.fuses_noise = CORRUPTIONS[name].fused is not None
         self._param_generator = self._generator(op)
 
     def _generator(self, op: str) -> RandomGeneratorBase:
-        _, severities, map, angle = CORRUPTIONS[self.name]
+        _, severities, map, angle, _ = CORRUPTIONS[self.name]
+        numbers = severities[self.severity - 1]
         if self.name == "fog":
-            roughness = severities[self.severity - 1][1]
-            return PlasmaGenerator(op, (roughness, roughness), one_channel=True)
+            return PlasmaGenerator(op, (numbers[1], numbers[1]), one_channel=True)
+        if self.name == "impulse_noise":
+            map = Impulses(*numbers)
+        if self.name == "speckle_noise":
+            map = Factors(*numbers)
         samplers = WINDOW if self.name == "frost" else [] if angle is None else [(angle, "angle", None, None)]
         return MappedGenerator(*samplers, maps={} if map is None else {"noise": map}, op=op)
 
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
-        x = input.to(compute_dtype(input))
+        corruption = CORRUPTIONS[self.name]
+        numbers = corruption.severities[self.severity - 1]
+        if corruption.fused is not None and "_noise" in params:
+            return corruption.fused(input, params["_noise"][1], *numbers)
+        x = in_units(input)
         drawn: Params = {name: params[name].to(x) for name in ("noise", "angle", "plasma") if name in params}
         if self.texture is not None:
             drawn["frost"] = cut_textures(self, params, x)
-        corruption = CORRUPTIONS[self.name]
-        return clamp(corruption.apply(x, drawn, *corruption.severities[self.severity - 1]), 0, 1)
+        y = corruption.apply(x, drawn, *numbers)
+        return as_stored(y, input) if input.dtype == torch.uint8 else clamp(y, 0, 1)

@@ -12,10 +12,10 @@ from kvision import _check
 from kvision._clamp import clamp
 from kvision._dtype import compute_dtype
 from kvision.augmentation import ranges
-from kvision.augmentation.corruption.poisson import poisson_quantile
 from kvision.augmentation.engine import Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
-from kvision.augmentation.random_generator.mapped import MappedGenerator, NoiseMap
+from kvision.augmentation.noise import CLAMP, PixelNoise, poisson_quantile, shot_noise
+from kvision.augmentation.random_generator.mapped import FactorsGenerator, MappedGenerator, NoiseMap
 from kvision.augmentation.ranges import Numbers
 from kvision.augmentation.samples import per_sample
 from kvision.color.hls import hls_to_rgb, rgb_to_hls
@@ -28,6 +28,29 @@ def params_in_type_of(params: Params, x: Tensor, *names: str) -> list[Tensor]:
     """Parameters in the type that `x` computes in; vectors (B,) broadcast with images."""
     own = (params[name].to(x.device, compute_dtype(x)) for name in names)
     return [per_sample(value, x) if value.dim() == 1 else value for value in own]
+
+
+def in_units(x: Tensor) -> Tensor:
+    """Images of any type in [0, 1], in the type that is computed in."""
+    return x.float() / 255 if x.dtype == torch.uint8 else x.to(compute_dtype(x))
+
+
+def as_stored(y: Tensor, like: Tensor) -> Tensor:
+    """Values clamped to [0, 1] in the type of images, bytes in theirs."""
+    y = clamp(y, 0, 1)
+    return (255 * y).round().to(torch.uint8) if like.dtype == torch.uint8 else y.to(like.dtype)
+
+
+def photons(x: Tensor, parameters: Tensor, noise: PixelNoise | Tensor) -> Tensor:
+    """Images counted in photons, by `shot_noise`, from a source of noise or a uniform map."""
+    x, parameters = x.detach(), parameters.to(compute_dtype(x))
+    if isinstance(noise, Tensor):
+        key = torch.zeros(1, dtype=torch.int64, device="cpu")
+        y: Tensor = shot_noise(x, parameters, key, None, None, noise.to(x.device, torch.float32), (0, 0, 1, 0))
+        return y
+    keys, seeds, chosen, plan = noise.arguments()
+    y = shot_noise(x, parameters, keys, seeds, chosen, None, plan)
+    return y
 
 
 class ShotNoise(IntensityAugmentationBase2D, keeps_contract=True):
@@ -49,7 +72,8 @@ class ShotNoise(IntensityAugmentationBase2D, keeps_contract=True):
         tensor(True)
     """
 
-    accepts_bytes = False
+    fuses_noise = True
+    _param_generator: MappedGenerator
 
     def __init__(
         self,
@@ -60,20 +84,31 @@ class ShotNoise(IntensityAugmentationBase2D, keeps_contract=True):
         **options: Any,
     ) -> None:
         super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
+        # Columns as the operator takes them: the step and the power of light.
         self._param_generator = MappedGenerator(
             (scale_range, "scale", None, (1e-6, float("inf"))),
+            ((_GAMMA, _GAMMA), "power", None, None),
             maps={"noise": NoiseMap()},
-            identity=[1.0],
+            identity=[1.0, 1.0],
             op="ShotNoise",
         )
+        self._param_generator.hidden = ("power",)
 
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
+        if "_noise" in params:
+            columns, noise = params["_noise"]
+            if not columns.requires_grad:
+                return photons(input, columns, noise)
+            params = {**params, **self._param_generator.pixel_params(columns, tuple(input.shape), noise)}
+        if not params["scale"].requires_grad:
+            step = params["scale"].to(input.device)
+            return photons(input, torch.stack([step, torch.full_like(step, _GAMMA)], 1), params["noise"])
         scale, u = params_in_type_of(params, input, "scale", "noise")
-        light = clamp(input, 0, 1).to(scale.dtype) ** _GAMMA
+        light = clamp(in_units(input), 0, 1).to(scale.dtype) ** _GAMMA
         counts = poisson_quantile(u, light.detach() / scale)
-        return clamp(counts * scale, 0, 1) ** (1 / _GAMMA)
+        return as_stored(clamp(counts * scale, 0, 1) ** (1 / _GAMMA), input)
 
 
 class ISONoise(IntensityAugmentationBase2D, keeps_contract=True):
@@ -134,6 +169,19 @@ class ISONoise(IntensityAugmentationBase2D, keeps_contract=True):
         return clamp(hls_to_rgb(torch.cat([hue.remainder(math.tau), lightness, saturation], 1)), 0, 1)
 
 
+def multiplied(generator: FactorsGenerator, x: Tensor, params: Params) -> Tensor:
+    """Images times the factors of a generator, clamped to their range."""
+    if "_noise" in params:
+        columns, noise = params["_noise"]
+        arguments = noise.arguments(form=generator.form | CLAMP)
+        y: Tensor = generator.draw(x, columns.to(compute_dtype(x)), *arguments)
+        return y
+    factors = params["factors"].to(x.device, compute_dtype(x))
+    if x.dtype == torch.uint8:
+        return (x.float() * factors).round().clamp(0, 255).to(torch.uint8)
+    return clamp(x * factors, 0, 1).to(x.dtype)
+
+
 class MultiplicativeNoise(IntensityAugmentationBase2D, keeps_contract=True):
     """Multiply images by random factors, and clamp them to [0, 1].
 
@@ -154,7 +202,7 @@ class MultiplicativeNoise(IntensityAugmentationBase2D, keeps_contract=True):
         tensor([[[[0.5000, 0.5000]]]])
     """
 
-    accepts_bytes = False
+    _param_generator: FactorsGenerator
 
     def __init__(
         self,
@@ -168,17 +216,16 @@ class MultiplicativeNoise(IntensityAugmentationBase2D, keeps_contract=True):
     ) -> None:
         super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
         op = "MultiplicativeNoise"
-        self._range = ranges.parse(op, "multiplier", multiplier, bounds=(0.0, float("inf")))
         channels = None if _check.switch(op, "per_channel", per_channel) else 1
-        side = None if _check.switch(op, "elementwise", elementwise) else 1
-        self._param_generator = MappedGenerator(maps={"noise": NoiseMap(size=(channels, side, side))}, op=op)
+        self.fuses_noise = _check.switch(op, "elementwise", elementwise)
+        side = None if elementwise else 1
+        between = ranges.parse(op, "multiplier", multiplier, bounds=(0.0, float("inf")))
+        self._param_generator = FactorsGenerator(op, between, (channels, side, side))
 
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
-        (u,) = params_in_type_of(params, input, "noise")
-        low, high = self._range.low, self._range.high
-        return clamp(input * (low + (high - low) * u), 0, 1)
+        return multiplied(self._param_generator, input, params)
 
 
 class SpeckleNoise(IntensityAugmentationBase2D, keeps_contract=True):
@@ -199,7 +246,8 @@ class SpeckleNoise(IntensityAugmentationBase2D, keeps_contract=True):
         tensor([[[[0., 0.]]]])
     """
 
-    accepts_bytes = False
+    fuses_noise = True
+    _param_generator: FactorsGenerator
 
     def __init__(
         self,
@@ -210,12 +258,9 @@ class SpeckleNoise(IntensityAugmentationBase2D, keeps_contract=True):
         **options: Any,
     ) -> None:
         super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
-        self._param_generator = MappedGenerator(
-            (std_range, "std", None, (0.0, float("inf"))), maps={"noise": NoiseMap(True)}, op="SpeckleNoise"
-        )
+        self._param_generator = FactorsGenerator("SpeckleNoise", ("std", std_range))
 
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
-        std, normal = params_in_type_of(params, input, "std", "noise")
-        return clamp(input + input * (std * normal), 0, 1)
+        return multiplied(self._param_generator, input, params)

@@ -67,14 +67,14 @@ class Declaration(KeepsArguments):
     # "boxes" or "masks" of the images, from which the generator derives columns: containers hand over those that are there by
     # then, and calls have an argument of this name.
     reads_labels: ClassVar[str | None] = None
-    accepts_bytes: ClassVar[bool] = True  # otherwise uint8 images are computed in float32, in [0, 1]
+    accepts_bytes: bool = True  # otherwise uint8 images are computed in float32, in [0, 1]
     accepts_wide_integers: ClassVar[bool] = False  # images of int16 and uint16, which are computed in float32
     keeps_lines: ClassVar[bool] = True  # straight lines stay straight, so that the corners of a box say where it is
     mixes_samples: ClassVar[bool] = False  # of the batch
     moves_by_map: ClassVar[bool] = False  # as MapAugmentation does
     keeps_positions: ClassVar[bool] = False  # of all pixels, so that labels stay as they are
     keeps_unchosen: ClassVar[bool] = False  # the drawn columns of samples that are not chosen leave them as they are
-    fuses_noise: ClassVar[bool] = False  # `apply_transform` takes "_noise" instead of the parameters of pixels
+    fuses_noise: bool = False  # `apply_transform` takes "_noise" instead of the parameters of pixels
 
     _own_methods: ClassVar[dict[str, Any]]  # by name, those of the class in `_REPLACEABLE` that keep the contract below
 

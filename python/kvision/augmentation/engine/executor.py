@@ -173,7 +173,9 @@ class Executor(Declaration):
         params.update(self._named(values, execution))
         if generator.per_pixel and execution.redraw is not None:
             noise = PixelNoise(*execution.redraw, self.same_on_batch, x.device)
-            if self.fuses_noise and execution.frames == 1 and not self._is_customized():
+            # The noise that `_params` has is float32.
+            is_fused = self.fuses_noise and execution.frames == 1 and x.dtype != torch.float64
+            if is_fused and not self._is_customized():
                 params["_noise"] = (values, noise._replace(chosen=execution.columns.chosen))
             else:
                 params.update(self._pixel_params(values, execution, noise))

@@ -36,22 +36,22 @@ class DropoutBase(IntensityAugmentationBase2D, keeps_contract=True):
         """Which pixels of images of a shape are dropped, bool (B, 1, H, W) or (B, C, H, W)."""
         raise NotImplementedError(f"{type(self).__name__}.is_dropped")
 
+    def _values(self, input: Tensor, params: Params) -> Tensor:
+        """The fill in the units of images, (1, 1, 1, 1), (1, C, 1, 1) or (B, C, H, W), of the type that is computed in."""
+        most, own = 255 if input.dtype == torch.uint8 else 1, compute_dtype(input)
+        if isinstance(self.fill, str):
+            return most * params["fill"].to(input.device, own)
+        if isinstance(self.fill, list) and len(self.fill) != input.shape[1]:
+            op = type(self).__name__
+            raise ShapeError(f"{op}: expected {self.fill_names[0]} of {input.shape[1]} channels, got {len(self.fill)}")
+        each = self.fill if isinstance(self.fill, list) else [self.fill]
+        return constant(tuple(most * value for value in each), input, own)[None, :, None, None]
+
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
-        dropped = self.is_dropped(params, tuple(input.shape), input.device)
-        most = 255 if input.dtype == torch.uint8 else 1
-        if isinstance(self.fill, float):
-            return input.masked_fill(dropped, round(most * self.fill) if most == 255 else self.fill)
-        if isinstance(self.fill, str):
-            values = most * params["fill"].to(compute_dtype(input))
-        elif len(self.fill) != input.shape[1]:
-            op = type(self).__name__
-            raise ShapeError(f"{op}: expected {self.fill_names[0]} of {input.shape[1]} channels, got {len(self.fill)}")
-        else:
-            each = constant(tuple(most * value for value in self.fill), input, compute_dtype(input))
-            values = each[:, None, None]
-        return torch.where(dropped, (values.round() if most == 255 else values).to(input.dtype), input)
+        dropped, values = self.is_dropped(params, tuple(input.shape), input.device), self._values(input, params)
+        return torch.where(dropped, (values.round() if input.dtype == torch.uint8 else values).to(input.dtype), input)
 
     def transform_masks(self, masks: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
         if not execution.applied or self.fill_mask is None:

@@ -9,15 +9,17 @@ import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._constants import constant
 from kvision.augmentation import ranges
 from kvision.augmentation.engine import Params
 from kvision.augmentation.occlusion.dropout_base import DropoutBase
+from kvision.augmentation.occlusion.holes import HoleDropout
 from kvision.augmentation.random_generator.mapped import MappedGenerator
-from kvision.augmentation.random_generator.occlusion import GridDropoutGenerator, fill_maps
+from kvision.augmentation.random_generator.occlusion import GridDropoutGenerator, fill_maps, units_along
 from kvision.augmentation.ranges import Numbers
 
 
-class GridDropout(DropoutBase, keeps_contract=True):
+class GridDropout(HoleDropout, keeps_contract=True):
     """Fill a hole in each unit of a grid with a value.
 
     Args:
@@ -70,57 +72,40 @@ class GridDropout(DropoutBase, keeps_contract=True):
         is_random = _check.switch(op, "random_offset", random_offset)
         self._param_generator = GridDropoutGenerator(unit_size_range, holes_number_xy, is_random, self.fill)
 
-    def is_dropped(self, params: Params, shape: tuple[int, ...], device: torch.device) -> Tensor:
-        size, most = shape[-2:], self._param_generator.counts(shape)
-        if "unit_size" in params:
-            unit = params["unit_size"].to(device).long()[:, None]
-            counts = [n // unit for n in size]
-        else:
-            counts = [torch.full((shape[0], 1), n, device=device) for n in most]
-        if "offsets" not in params:
-            shifts = reversed(self.shift_xy)
-            is_row, is_column = (self._in_holes(*along) for along in zip(size, counts, most, shifts))
-            return (is_row[:, :, None] & is_column[:, None])[:, None]
-        down, across = (self._along(n, count) for n, count in zip(size, counts))
-        return self._at_offsets(params["offsets"].to(device), down, across)[:, None]
-
-    def _unit(self, unit: Tensor, size: int, count: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Where units of a number begin along an axis, their length and that of their holes."""
-        first = unit * size // count
-        side = (unit + 1) * size // count - first
-        return first, side, (side * self.ratio).long().clamp(min=1).minimum(side - 1)
-
-    def _in_holes(self, size: int, count: Tensor, most: int, shift: int) -> Tensor:
-        """Which pixels (B, size) along an axis are in the holes of `count` (B, 1) units, all moved by a shift."""
-        unit, at = torch.arange(most, device=count.device), torch.arange(size, device=count.device)
-        first, _, hole = self._unit(unit, size, count)
-        first = (first + shift).minimum(size - hole)[..., None]
-        is_in_hole = (at >= first) & (at < first + hole[..., None]) & (unit < count)[..., None]
-        return is_in_hole.any(1)
-
-    def _along(self, size: int, count: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Of pixels along an axis with `count` (B, 1) units: how far it is in its unit, the unit, what a hole leaves, the hole."""
-        at = torch.arange(size, device=count.device)
-        unit = ((at + 1) * count - 1) // size
-        first, side, hole = self._unit(unit, size, count)
-        return at - first, unit, side - hole, hole
-
-    @staticmethod
-    def _at_offsets(offsets: Tensor, down: tuple[Tensor, ...], across: tuple[Tensor, ...]) -> Tensor:
-        """Which pixels (B, H, W) are in holes, whose offsets (B, 2, R, C) are fractions of the free pixels of their units."""
-        (y, row, free_y, tall), (x, column, free_x, wide) = down, across
-        cells = row[:, :, None] * offsets.shape[3] + column[:, None]  # (B, H, W)
-        u_y, u_x = (
-            offsets.flatten(2)
-            .gather(2, cells.flatten(1)[:, None].expand(-1, 2, -1))
-            .unflatten(2, cells.shape[1:])
-            .unbind(1)
+    def _holes(self, params: Params, shape: tuple[int, ...], device: torch.device) -> Tensor:
+        counts, at = self._param_generator.counts(shape), None
+        if (unit_range := self._param_generator.unit_size_range) is not None:
+            at = params["unit_size"].to(device).long() - unit_range[0]
+        offsets = params["offsets"].to(device).unbind(1) if "offsets" in params else (None, None)
+        (y, tall), (x, wide) = (
+            self._along(*axis, at, device)
+            for axis in zip(shape[-2:], counts, offsets, reversed(self.shift_xy), (-1, -2))
         )
-        y, x = (
-            y[:, :, None] - (u_y * (free_y[:, :, None] + 1)).floor().minimum(free_y[:, :, None]),
-            x[:, None] - (u_x * (free_x[:, None] + 1)).floor().minimum(free_x[:, None]),
-        )
-        return (y >= 0) & (y < tall[:, :, None]) & (x >= 0) & (x < wide[:, None])
+        return torch.stack(torch.broadcast_tensors(x, y, wide, tall), -1).flatten(1, 2)
+
+    def _along(
+        self,
+        size: int,
+        counts: tuple[int, ...],
+        u: Tensor | None,
+        shift: int,
+        axis: int,
+        at: Tensor | None,
+        device: Any,
+    ) -> tuple[Tensor, Tensor]:
+        """Where holes begin along an axis, and how long they are, as tables (B, R, C) by the units of the grid.
+
+        Args:
+            size: pixels.
+            counts: numbers of units; `at` (B,) says which of them a sample has.
+            u: the offsets (B, R, C) of holes, as fractions of the free pixels of their units; None for a shift.
+            axis: the axis of the table along which there is nothing to tell.
+        """
+        table = constant(units_along(size, counts, self.ratio), torch.empty(0, device=device))
+        first, hole, free = (table if at is None else table[at]).unsqueeze(axis).unbind(1)
+        if u is None:
+            return (first + shift).minimum(size - hole), hole
+        return first + (u * (free + 1)).floor().minimum(free), hole
 
 
 class GridMask(DropoutBase, keeps_contract=True):

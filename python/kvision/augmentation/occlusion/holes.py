@@ -9,6 +9,7 @@ from torch import Tensor
 
 from kvision.augmentation import ranges
 from kvision.augmentation.engine import Params
+from kvision.augmentation.erase import erase_rectangles
 from kvision.augmentation.occlusion.dropout_base import DropoutBase
 from kvision.augmentation.random_generator.occlusion import Holes, HolesGenerator, Lengths
 from kvision.augmentation.ranges import Numbers
@@ -17,16 +18,25 @@ from kvision.augmentation.ranges import Numbers
 class HoleDropout(DropoutBase, keeps_contract=True):
     """A class whose parameter `holes` (B, N, 4) has the x, y, width and height of rectangles."""
 
+    def _holes(self, params: Params, shape: tuple[int, ...], device: torch.device) -> Tensor:
+        """The rectangles of images of a shape, float32 (B, N, 4)."""
+        drawn: Tensor = params["holes"].to(device, torch.float32)
+        return drawn
+
     def is_dropped(self, params: Params, shape: tuple[int, ...], device: torch.device) -> Tensor:
-        x, y, width, height = params["holes"].to(device).unbind(2)
+        kept = torch.ones((shape[0], 1, *shape[-2:]), dtype=torch.uint8, device=device)
+        zero = torch.zeros(1, 1, device=device)
+        erased: Tensor = erase_rectangles(kept, self._holes(params, shape, device), zero)
+        return erased == 0
 
-        def reaches(first: Tensor, length: Tensor, size: int) -> Tensor:
-            at = torch.arange(size, device=device)
-            return ((at >= first[..., None]) & (at < (first + length)[..., None])).float()
-
-        # How many holes there are at a pixel: one product of matrices for any number of holes.
-        counts = reaches(y, height, shape[-2]).mT @ reaches(x, width, shape[-1])
-        return (counts > 0)[:, None]
+    def apply_transform(
+        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
+    ) -> Tensor:
+        if isinstance(self.fill, str):
+            return super().apply_transform(input, params, flags, transform)
+        holes, values = self._holes(params, tuple(input.shape), input.device), self._values(input, params)
+        y: Tensor = erase_rectangles(input, holes, values[:, :, 0, 0])
+        return y
 
 
 class CoarseDropout(HoleDropout, keeps_contract=True):
@@ -52,6 +62,8 @@ class CoarseDropout(HoleDropout, keeps_contract=True):
         tensor(58.)
     """
 
+    keeps_unchosen = True
+
     def __init__(
         self,
         num_holes_range: tuple[int, int] = (1, 2),
@@ -71,7 +83,7 @@ class CoarseDropout(HoleDropout, keeps_contract=True):
             Lengths.parse(op, "hole_height_range", hole_height_range),
             Lengths.parse(op, "hole_width_range", hole_width_range),
         )
-        self._param_generator = HolesGenerator(op, {"num_holes": holes}, self.fill)
+        self._param_generator = HolesGenerator(op, [holes], self.fill)
 
 
 class XYMasking(HoleDropout, keeps_contract=True):
@@ -99,6 +111,8 @@ class XYMasking(HoleDropout, keeps_contract=True):
         tensor(30.)
     """
 
+    keeps_unchosen = True
+
     def __init__(
         self,
         num_masks_x_range: tuple[int, int] = (0, 0),
@@ -116,15 +130,13 @@ class XYMasking(HoleDropout, keeps_contract=True):
         op = type(self).__name__
         along_x = Holes(
             ranges.parse_integers(op, "num_masks_x_range", num_masks_x_range, 0),
-            None,
-            Lengths.parse(op, "mask_x_length_range", mask_x_length_range),
+            widths=Lengths.parse(op, "mask_x_length_range", mask_x_length_range),
         )
         along_y = Holes(
             ranges.parse_integers(op, "num_masks_y_range", num_masks_y_range, 0),
             Lengths.parse(op, "mask_y_length_range", mask_y_length_range),
-            None,
         )
-        self._param_generator = HolesGenerator(op, {"num_masks_x": along_x, "num_masks_y": along_y}, self.fill)
+        self._param_generator = HolesGenerator(op, [along_x, along_y], self.fill)
 
 
 class TimeMasking(XYMasking, keeps_contract=True):

@@ -8,11 +8,12 @@ import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._dtype import compute_dtype
 from kvision.augmentation import ranges
 from kvision.augmentation.engine import Params
+from kvision.augmentation.noise import BY_CHANNEL, RANDOM, salt_and_pepper
 from kvision.augmentation.occlusion.dropout_base import DropoutBase
-from kvision.augmentation.random_generator.mapped import MappedGenerator, NoiseMap
-from kvision.augmentation.random_generator.occlusion import fill_maps
+from kvision.augmentation.random_generator.occlusion import PixelDropoutGenerator, is_hit
 from kvision.augmentation.ranges import Numbers
 
 
@@ -38,6 +39,7 @@ class PixelDropout(DropoutBase, keeps_contract=True):
     """
 
     fill_names = ("drop_value", "mask_drop_value")
+    fuses_noise = True
 
     def __init__(
         self,
@@ -52,13 +54,22 @@ class PixelDropout(DropoutBase, keeps_contract=True):
     ) -> None:
         super().__init__(drop_value, mask_drop_value, p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
         op = "PixelDropout"
-        channels = None if _check.switch(op, "per_channel", per_channel) else 1
+        self._form = BY_CHANNEL if _check.switch(op, "per_channel", per_channel) else 0
         probability = ranges.as_pair(dropout_prob)
-        self._param_generator = MappedGenerator(
-            (probability, "dropout_prob", None, (0.0, 1.0)),
-            maps={**fill_maps(self.fill), "noise": NoiseMap(size=(channels, None, None))},
-            op=op,
-        )
+        self._param_generator = PixelDropoutGenerator(probability, self._form, self.fill)
 
     def is_dropped(self, params: Params, shape: tuple[int, ...], device: torch.device) -> Tensor:
-        return params["noise"].to(device) < params["dropout_prob"].to(device)[:, None, None, None]
+        if "_noise" not in params:
+            return params["dropped"].to(device)
+        columns, noise = params["_noise"]
+        return is_hit(columns, noise, self._form, shape)
+
+    def apply_transform(
+        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
+    ) -> Tensor:
+        if "_noise" not in params or self.fill not in (0.0, "random"):
+            return super().apply_transform(input, params, flags, transform)
+        columns, noise = params["_noise"]
+        form = self._form if self.fill == 0.0 else self._form | RANDOM
+        y: Tensor = salt_and_pepper(input, columns.to(compute_dtype(input)), *noise.arguments(form=form))
+        return y

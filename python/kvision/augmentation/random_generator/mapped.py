@@ -3,16 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 from torch import Tensor
 
-from kvision.augmentation.draws import integer
-from kvision.augmentation.noise import PixelNoise
+from kvision._ops import Operator
+from kvision.augmentation.draws import integer, uniform
+from kvision.augmentation.noise import MULTIPLY, SHARED, PixelNoise, gaussian_noise, uniform_noise
 from kvision.augmentation.random_generator.base import Shape
 from kvision.augmentation.random_generator.plain import PlainUniformGenerator
+from kvision.augmentation.ranges import Range
 
 __all__: list[str] = []  # Kornia has none of these
+
+
+class Map(Protocol):
+    """What draws numbers of each pixel."""
+
+    def draw(self, noise: PixelNoise, shape: Shape, number: int) -> Tensor:
+        """The map with a number of its own among those of an augmentation, float32."""
+        ...
+
+
+def map_size(size: Sequence[int | None], shape: Shape) -> list[int]:
+    """(B, channels, height, width) of a map for images of a shape, whose own sizes stand for None."""
+    return [shape[0], *(n if own is None else own for own, n in zip(size, shape[1:]))]
 
 
 class NoiseMap(NamedTuple):
@@ -23,7 +38,7 @@ class NoiseMap(NamedTuple):
 
     def draw(self, noise: PixelNoise, shape: Shape, number: int) -> Tensor:
         """The map with a number of its own among those of an augmentation, float32."""
-        size = [shape[0], *(n if own is None else own for own, n in zip(self.size, shape[1:]))]
+        size = map_size(self.size, shape)
         return noise.normal(size, map=number) if self.normal else noise.uniform(size, number).float()
 
 
@@ -42,7 +57,7 @@ class MappedGenerator(PlainUniformGenerator):
         self,
         *samplers: Sequence[Any],
         integers: Mapping[str, tuple[int, ...]] | None = None,
-        maps: Mapping[str, NoiseMap] | None = None,
+        maps: Mapping[str, Map] | None = None,
         identity: Sequence[float] | None = None,
         op: str,
     ) -> None:
@@ -57,3 +72,46 @@ class MappedGenerator(PlainUniformGenerator):
 
     def pixel_params(self, columns: Tensor, shape: Shape, noise: PixelNoise) -> dict[str, Tensor]:
         return {name: map.draw(noise, shape, number) for number, (name, map) in enumerate(self.maps.items())}
+
+
+class FactorsGenerator(PlainUniformGenerator):
+    """Draws factors of pixels with a mean and a scale: the columns that an operator takes, and the map `factors` that it gives.
+
+    Args:
+        op: the name in messages of errors.
+        scale: the name and the range of the deviation of normal factors about 1; or the range of uniform factors.
+        size: of the map, as that of :class:`NoiseMap`.
+    """
+
+    per_pixel = True
+
+    def __init__(
+        self,
+        op: str,
+        scale: tuple[str, Any] | Range,
+        size: tuple[int | None, int | None, int | None] = (None, None, None),
+    ) -> None:
+        name, values = ("scale", (0.0, 0.0)) if isinstance(scale, Range) else scale
+        super().__init__(
+            ((1.0, 1.0), "mean", None, None), (values, name, None, (0.0, float("inf"))), identity=[1.0, 0.0], op=op
+        )
+        self.between = scale if isinstance(scale, Range) else None
+        self.hidden = ("mean",) if self.between is None else ("mean", name)
+        self.size = size
+        self.form = MULTIPLY | (0 if size[0] is None else SHARED)
+
+    @property
+    def draw(self) -> Operator:
+        """The operator of the factors."""
+        return gaussian_noise if self.between is None else uniform_noise
+
+    def draws(self, shape: Shape) -> Sequence[Any]:
+        if self.between is None:
+            return super().draws(shape)
+        low, high = self.between.low, self.between.high
+        mean, scale = (low + high) / 2, (high - low) / 2
+        return [uniform(mean, mean, 1.0), uniform(scale, scale)]
+
+    def pixel_params(self, columns: Tensor, shape: Shape, noise: PixelNoise) -> dict[str, Tensor]:
+        ones = columns.new_ones(map_size(self.size, shape))
+        return {"factors": self.draw(ones, columns, *noise.arguments(form=self.form))}

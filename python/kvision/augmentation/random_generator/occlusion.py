@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import functools
+import itertools
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._constants import constant
 from kvision.augmentation import ranges
-from kvision.augmentation.noise import PixelNoise
+from kvision.augmentation.draws import Draw
+from kvision.augmentation.noise import BY_CHANNEL, RANDOM, PixelNoise, salt_and_pepper
 from kvision.augmentation.random_generator.base import Shape
 from kvision.augmentation.random_generator.mapped import MappedGenerator, NoiseMap
+from kvision.augmentation.random_generator.plain import PlainUniformGenerator
 from kvision.core.exceptions import ValueCheckError
 
 __all__: list[str] = []  # Kornia has none of these
@@ -38,43 +44,91 @@ class Lengths(NamedTuple):
         fractions = ranges.parse(op, name, value, bounds=(0.0, 1.0))
         return cls(fractions.low, fractions.high, False)
 
-    def of(self, u: Tensor, extent: int) -> Tensor:
-        """Whole pixels of uniform numbers in [0, 1), at least one where the lowest length is above 0."""
-        if self.are_pixels:
-            length = (self.low + u * (self.high - self.low + 1)).floor()
-        else:
-            length = ((self.low + u * (self.high - self.low)) * extent).round()
-        return length.clamp(min(1, extent) if self.low > 0 else 0, extent)
+
+WHOLE = Lengths(1.0, 1.0, False)
 
 
 class Holes(NamedTuple):
-    """A kind of holes: the range of their number and those of their sizes, None for the whole image."""
+    """A kind of holes: the range of their number and those of their sizes."""
 
     number: tuple[int, int]
-    heights: Lengths | None
-    widths: Lengths | None
+    heights: Lengths = WHOLE
+    widths: Lengths = WHOLE
 
 
 class HolesGenerator(MappedGenerator):
     """Draws rectangles: holes (B, N, 4), x, y, width and height in pixels, of size 0 behind the drawn number of each kind."""
 
-    def __init__(self, op: str, kinds: dict[str, Holes], fill: float | list[float] | str) -> None:
-        super().__init__(integers={name: kind.number for name, kind in kinds.items()}, maps=fill_maps(fill), op=op)
-        self.kinds = list(kinds.values())
-        self.per_pixel = True
+    def __init__(self, op: str, kinds: Sequence[Holes], fill: float | list[float] | str) -> None:
+        super().__init__(maps=fill_maps(fill), op=op)
+        self.kinds = kinds
+        self.fields = (("holes", 4 * sum(kind.number[1] for kind in kinds)),)
+
+    def draws(self, shape: Shape) -> Sequence[Any]:
+        size = float(shape[-2]), float(shape[-1])
+        return [
+            Draw("rectangles", (4 * most, fewest, *map(float, heights), *map(float, widths), *size))
+            for (fewest, most), heights, widths in self.kinds
+        ]
+
+    def to_params(self, columns: Tensor, shape: Shape) -> dict[str, Tensor]:
+        return {"holes": columns.reshape(len(columns), columns.shape[1] // 4, 4)}
+
+    def to_columns(self, params: dict[str, Any], shape: Shape) -> Tensor:
+        holes: Tensor = params["holes"]
+        return holes.flatten(1)
+
+
+def is_hit(columns: Tensor, noise: PixelNoise, form: int, shape: Shape) -> Tensor:
+    """Which pixels of images of a shape are hit by `salt_and_pepper`, bool (B, 1, H, W), or (B, C, H, W) by channel."""
+    size = (shape[0], shape[1] if form & BY_CHANNEL else 1, *shape[-2:])
+    kept = torch.full(size, 2, dtype=torch.uint8, device=columns.device)
+    hit: Tensor = salt_and_pepper(kept, columns.detach(), *noise.arguments(form=form & BY_CHANNEL))
+    return hit != 2
+
+
+class PixelDropoutGenerator(PlainUniformGenerator):
+    """Draws the probability that a pixel is dropped, and which ones are."""
+
+    per_pixel = True
+    hidden = ("salt",)
+
+    def __init__(self, probability: Any, form: int, fill: float | list[float] | str) -> None:
+        bounds = (0.0, 1.0)
+        super().__init__(
+            (probability, "dropout_prob", None, bounds), ((0.0, 0.0), "salt", None, bounds), op="PixelDropout"
+        )
+        self.form, self.fill = form, fill
 
     def pixel_params(self, columns: Tensor, shape: Shape, noise: PixelNoise) -> dict[str, Tensor]:
-        sizes = [kind.number[1] for kind in self.kinds]
-        drawn = noise.uniform((shape[0], 1, max(sum(sizes), 1), 4), len(self.maps))[:, 0, : sum(sizes)]
-        holes = []
-        for kind, number, u in zip(self.kinds, columns.unbind(1), drawn.split(sizes, 1)):
-            height, width = shape[-2:]
-            exists = torch.arange(u.shape[1], device=u.device) < number[:, None]
-            tall = exists * (height if kind.heights is None else kind.heights.of(u[..., 2], height))
-            wide = exists * (width if kind.widths is None else kind.widths.of(u[..., 3], width))
-            x, y = ((u[..., 0] * (width - wide + 1)).floor(), (u[..., 1] * (height - tall + 1)).floor())
-            holes.append(torch.stack([x * exists, y * exists, wide, tall], -1))
-        return {**super().pixel_params(columns, shape, noise), "holes": torch.cat(holes, 1).float()}
+        params = {"dropped": is_hit(columns, noise, self.form, shape)}
+        if self.fill == "random":
+            everywhere = constant(((1.0, 0.0),), columns)
+            zero = columns.new_zeros(tuple(shape))
+            params["fill"] = salt_and_pepper(zero, everywhere, *noise.arguments(form=RANDOM))
+        return params
+
+
+class Units(NamedTuple):
+    """The units of a grid along an axis, and the hole in each, in pixels."""
+
+    first: Sequence[int]
+    hole: Sequence[int]
+    free: Sequence[int]  # what the hole leaves of its unit
+
+
+@functools.lru_cache(maxsize=64)
+def units_along(size: int, counts: tuple[int, ...], ratio: float) -> tuple[Units, ...]:
+    """The units of an axis that has any of these numbers of them, as many each as the largest, those too many without a hole."""
+    tables = []
+    for count in counts:
+        ends = [unit * size // count for unit in range(count + 1)]
+        sides = [end - first for first, end in itertools.pairwise(ends)]
+        holes = [min(max(int(side * ratio), 1), side - 1) for side in sides]
+        none = (0,) * (max(counts) - count)
+        free = (side - hole for side, hole in zip(sides, holes))
+        tables.append(Units((*ends[:-1], *none), (*holes, *none), (*free, *none)))
+    return tuple(tables)
 
 
 class GridDropoutGenerator(MappedGenerator):
@@ -94,23 +148,24 @@ class GridDropoutGenerator(MappedGenerator):
         self.random_offset = random_offset
         self.per_pixel = self.per_pixel or random_offset
 
-    def counts(self, shape: Shape) -> tuple[int, int]:
-        """The most units that an image of a shape has, down and across."""
-        height, width = shape[-2:]
+    def counts(self, shape: Shape) -> list[tuple[int, ...]]:
+        """The numbers of units that an image of a shape may have, down and across: of each side of units, from the lowest on."""
+        size = height, width = [int(n) for n in shape[-2:]]
         if self.unit_size_range is not None:
             low, high = self.unit_size_range
-            if high > min(height, width):
+            if high > min(size):
                 raise ValueCheckError(
-                    f"GridDropout: expected unit_size_range of at most the shorter side, {min(height, width)}, got {high}"
+                    f"GridDropout: expected unit_size_range of at most the shorter side, {min(size)}, got {high}"
                 )
-            return height // low, width // low
+            return [tuple(n // unit for unit in range(low, high + 1)) for n in size]
         if self.holes_number_xy is not None:
             across, down = self.holes_number_xy
-            return min(down, height), min(across, width)
-        return height // max(2, height // 10) or 1, width // max(2, width // 10) or 1
+            return [(min(down, height),), (min(across, width),)]
+        return [(n // max(2, n // 10) or 1,) for n in size]
 
     def pixel_params(self, columns: Tensor, shape: Shape, noise: PixelNoise) -> dict[str, Tensor]:
         params = super().pixel_params(columns, shape, noise)
         if self.random_offset:
-            params["offsets"] = noise.uniform((shape[0], 2, *self.counts(shape)), len(self.maps)).float()
+            down, across = (max(counts) for counts in self.counts(shape))
+            params["offsets"] = NoiseMap(size=(2, down, across)).draw(noise, shape, len(self.maps))
         return params

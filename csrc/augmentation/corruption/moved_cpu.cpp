@@ -1,0 +1,43 @@
+// Sums of moved copies on the CPU: rows [begin, end) of all planes. Compiled once per instruction set.
+#include "augmentation/corruption/moved.h"
+#include "core/lanes.h"
+
+namespace kv::augmentation::KV_ISA {
+
+template <class T>
+void sum_of_moved(SumOfMoved<T> const& p, int64_t begin, int64_t end) {
+  using F = Compute<T>;
+  constexpr int kChunk = 256;
+  for (int64_t r = begin; r < end; ++r) {
+    int64_t const plane = r / p.height, y = r % p.height, b = plane / p.channels, c = plane % p.channels;
+    T const* const x = p.x + b * p.x_strides[0] + c * p.x_strides[1];
+    T* const result = p.y + b * p.y_strides[0] + c * p.y_strides[1] + y * p.y_strides[2];
+    for (int64_t left = 0; left < p.width; left += kChunk) {
+      int const count = int(min(p.width - left, int64_t(kChunk)));
+      F sum[kChunk] = {};
+      for (int64_t k = 0; k < p.num_moves; ++k) {
+        F const* const move = p.moves + b * p.move_stride + 4 * k;
+        F const scale = move[0], weight = move[3];
+        if (weight == 0) continue;
+        PairOfTaps<F> const down(scale * F(y) + move[2], int(p.height));
+        T const *const upper = x + down.first * p.x_strides[2], *const lower = x + down.second * p.x_strides[2];
+        for (int i = 0; i < count; ++i) {
+          PairOfTaps<F> const across(scale * F(left + i) + move[1], int(p.width));
+          int64_t const first = across.first * p.x_strides[3], second = across.second * p.x_strides[3];
+          F const u = load<1>(upper + first), v = load<1>(upper + second);
+          F value = across.t > 0 ? u + across.t * (v - u) : u;
+          if (down.t > 0) {
+            F const s = load<1>(lower + first), t = load<1>(lower + second);
+            value += down.t * ((across.t > 0 ? s + across.t * (t - s) : s) - value);
+          }
+          sum[i] += weight * value;
+        }
+      }
+      for (int i = 0; i < count; ++i) store<1>(result + (left + i) * p.y_strides[3], Lanes<F, 1>(sum[i]));
+    }
+  }
+}
+
+KV_INSTANTIATE_WITH_BYTES(sum_of_moved, SumOfMoved)
+
+}  // namespace kv::augmentation::KV_ISA

@@ -1,0 +1,44 @@
+"""Weighted sums of moved and scaled copies of images: blurs along paths."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from kvision._ops import register
+
+
+def _reference(images: Tensor, moves: Tensor) -> Tensor:
+    """Moves (B, K, 4) are scale s, x, y and weight: the sum of weight times the image at (s column + x, s row + y).
+
+    Values between pixels are bilinear, those outside of the image are of its border. A copy of weight 0 is not read,
+    and its weight has no gradient.
+    """
+    total = torch.zeros_like(images)
+    for scale, x, y, weight in (move.unbind(1) for move in moves.unbind(1)):
+        rows = _read(images, 2, scale, y)
+        moved = _read(rows, 3, scale, x)
+        weight = weight[:, None, None, None]
+        total = total + torch.where(weight == 0, 0.0, weight * moved)
+    return total
+
+
+def _read(images: Tensor, axis: int, scale: Tensor, shift: Tensor) -> Tensor:
+    """Images read along an axis at scale times the index of the pixel + shift."""
+    size = images.shape[axis]
+    at = torch.arange(size, device=images.device, dtype=scale.dtype)
+    at = (scale[:, None] * at + shift[:, None]).clamp(0, size - 1)
+    first = at.long()
+    t = at - first
+    second = first + (t > 0)
+    shape = [-1, 1, 1, 1]
+    shape[axis] = size
+
+    def gather(index: Tensor) -> Tensor:
+        return images.gather(axis, index.view(shape).expand(images.shape))
+
+    values, t = gather(first), t.view(shape)
+    return torch.where(t > 0, values + t * (gather(second) - values), values)
+
+
+sum_of_moved = register("sum_of_moved", _reference, bytes=True)

@@ -9,6 +9,7 @@ from torch import Tensor
 import kvision.augmentation as A
 from kvision.augmentation.mixing.pieces import MIX_KINDS, make_piece, mix_pieces, paste_pieces
 from op_tests import OpTests, assert_close
+from point_op_tests import Call, PointOpTests, vector
 
 
 def pieces(x: Tensor, weight: float = 1.0) -> Tensor:
@@ -44,6 +45,20 @@ class TestPastePieces(OpTests):
 
     def test_wrong_kinds(self, variant, device):
         pytest.skip("the classes that call the operator check its input")
+
+
+COMMON = {"broadcasts": False, "per_sample": False, "differentiable": False, "dtypes": (torch.float32,) * 2}
+
+
+class TestMixPieces(PointOpTests):
+    plans = (
+        (0, 1, -1, 1, 1, 1, 12, 18, 12, 18),
+        (1, 1, 0, 2, 1, 1, 12, 18, 12, 18),
+        (2, 0, -1, 1, 5, 3, 12, 18, 12, 18),
+        (3, 1, 0, 6, 2, 3, 12, 18, 12, 18),
+        (4, 1, 0, 5, 2, 2, 12, 18, 9, 14),
+    )
+    calls = {"mix_pieces": [Call((vector(10),), (list(plan), [0.2, 0.7]), **COMMON) for plan in plans]}
 
 
 def test_a_piece_is_read_at_a_distance_and_zero_is_outside(device):

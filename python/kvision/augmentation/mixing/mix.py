@@ -367,7 +367,7 @@ class RandomMixUpV2(MixAugmentationBaseV2, keeps_contract=True):
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
-        pairs, weights = params["mixup_pairs"], params["mixup_lambdas"]
+        weights, pairs = params["mixup_lambdas"], params["mixup_pairs"]
         if weights.requires_grad:
             weight = weights.to(input.dtype)[:, None, None, None]
             return input * (1 - weight) + input[pairs] * weight

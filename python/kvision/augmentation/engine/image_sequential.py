@@ -19,7 +19,7 @@ from kvision.augmentation.engine.augmentation import AugmentationBase
 from kvision.augmentation.engine.choices import Choices
 from kvision.augmentation.engine.configuration import Plans, portable, settings_changed
 from kvision.augmentation.engine.declaration import KeepsArguments
-from kvision.augmentation.engine.execution import check_batch_of_params
+from kvision.augmentation.engine.execution import check_batch_of_params, matrix_type
 from kvision.augmentation.engine.list_calls import (
     SIZES,
     ListRecord,
@@ -469,6 +469,7 @@ class ImageSequential(ImageSequentialBase):
         shape = tuple(x.shape) if isinstance(x, Tensor) else largest_shape(x)
         record = Record(shape, children, stages)
         record.size, record.is_of_list = tuple(y.shape[2:]), isinstance(x, list)
+        record.identity = matrix_type(y)
         return y, record
 
     def _in_turns(
@@ -616,7 +617,7 @@ class ImageSequential(ImageSequentialBase):
             return _matrix_of_parts(record, self._matrix_of_inner)
         if not returns or record.shape is None:
             return None
-        matrix = identity_of(record.shape)
+        matrix = identity_of(record)
         for child in record.children:
             module = child.module
             if isinstance(module, ImageSequential) and module.return_transform is not False:
@@ -650,7 +651,7 @@ class ImageSequential(ImageSequentialBase):
             return _matrix_of_parts(record, self._matrix)
         if record.shape is None or self.transformation_matrix_mode == "skip":
             return None
-        return record.stages.product(identity_of(record.shape))
+        return record.stages.product(identity_of(record))
 
     def get_transformation_matrix(
         self,
@@ -666,7 +667,7 @@ class ImageSequential(ImageSequentialBase):
         if isinstance(x, list) and not self._reads_lists:
             return self._matrix(self._call_list([DataKey.INPUT], [x], params, None, None)[1])
         record = self._execute(x, params, self._context(None, None))[1]
-        return record.stages.product(identity_of(record.shape or ()))
+        return record.stages.product(identity_of(record))
 
     def inverse(
         self, input: Tensor, params: Sequence[ParamItem] | None = None, extra_args: dict[Any, Any] | None = None
@@ -794,7 +795,9 @@ def _product(own: Tensor, matrix: Tensor, child: Child) -> Tensor:
     return SomeSamples(Warp(own, (), (), Resampling()), child.samples, child.batch, None).product(matrix)
 
 
-def identity_of(shape: tuple[int, ...]) -> Tensor:
-    """Identity matrices for the samples of images or volumes of a shape."""
+def identity_of(record: Record) -> Tensor:
+    """Identity matrices for the samples of images or volumes of a call, on their device."""
+    shape = record.shape or ()
     axes = len(shape) - 1
-    return torch.eye(axes, device="cpu").expand(shape[0], axes, axes)
+    device, dtype = record.identity or (torch.device("cpu"), torch.float32)
+    return torch.eye(axes, device=device, dtype=dtype).expand(shape[0], axes, axes)

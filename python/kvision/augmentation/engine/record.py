@@ -89,6 +89,7 @@ class Record:
 
     items: list[Any] | None = None  # the parameters by name, where they were given or have been read
     size: tuple[int, ...] = (0, 0)  # of the results
+    identity: tuple[torch.device, torch.dtype] | None = None  # `matrix_type` of matrices that are made when read
     is_of_list = False  # of images, which the first child made a batch
     videos: VideoLayout | None = None  # of what frames are
     labels: LabelRecord | None = None

@@ -13,8 +13,8 @@ namespace kvision::ops::detail::rules {
 template <Name op>
 inline constexpr auto noise_gradients = [](Backward const& b) -> variable_list {
   Ints const plan = b.arguments[5].toIntVector();
-  TORCH_CHECK_NOT_IMPLEMENTED(plan.size() < 5 || !(plan[4] & 3),
-                              op.text, ": C++ has no gradient of factors and of clamped noise; Python's kvision has");
+  TORCH_CHECK_NOT_IMPLEMENTED(plan.size() < 5 || !(plan[4] & 3), op.text,
+                              ": C++ has no gradient of factors and of clamped noise; Python's kvision has");
   if (!b.needs(1)) return {b.grad()};
   Tensor const parameters = b.tensor(1), grad = b.grad().to(parameters.scalar_type());
   Tensor const standard = at::stack({at::zeros({1}, parameters.options()), at::ones({1}, parameters.options())}, 1);

@@ -80,7 +80,7 @@ def _consensus_reference(
     squares = thresholds.square()[:, None, None]
     inliers = errors <= squares
     gains = torch.stack([torch.where(inliers, 1 - errors / squares, 0), inliers.to(errors.dtype)], -1)
-    seen = torch.arange(_CHUNK, errors.shape[-1] + 1, _CHUNK, device=errors.device)
+    seen = _CHUNK * torch.arange(1, errors.shape[-1] // _CHUNK + 1, device=errors.device)
     if not len(seen):
         return gains.sum(-2)
     sums = gains.cumsum(-2)[..., seen - 1, :]

@@ -113,6 +113,7 @@ def _arguments(mix, execution):
     return execution.columns.drawn, [MIX_KINDS[kind], span.first_value, chosen, count, *sizes], numbers
 
 
+@pytest.mark.native
 @pytest.mark.parametrize("kind", MIX_KINDS)
 def test_a_mix_is_a_few_launches(kind):
     """Draws, pieces and images are three operators, however many samples, windows and cells there are."""

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 SHORTER = (
-    0.75  # of the weight, for each letter more: of the names that begin with what was typed, the shortest is that name
+    0.7  # of the weight, for each letter more: of the names that begin with what was typed, the shortest is that name
 )
 # What is looked for, and where the first result lies.
 FIRST = {

@@ -16,40 +16,40 @@ PastePieces<T> paste_parameters(Tensor const& x, Tensor const& y, Tensor const& 
           pieces.size(0) > 1 ? pieces.size(1) * kPieceNumbers : 0};
 }
 
-void check_pieces(char const* op, Tensor const& x, Tensor const& pieces, std::vector<int64_t> const& size) {
-  check_images(op, "images", x);
+// Images (B, C, H, W), pieces (B, N, 9); run(x, y, pieces, layout) writes y (B, C, h, w).
+template <class Run>
+Tensor paste(char const* op, Tensor const& images, Tensor const& pieces, std::vector<int64_t> const& size, Run run) {
+  check_images(op, "images", images);
   KV_CHECK(pieces.dim() == 3 && pieces.size(2) == kPieceNumbers &&
-               (pieces.size(0) == x.size(0) || pieces.size(0) == 1) && pieces.scalar_type() == ScalarType::Float &&
-               pieces.device() == x.device() && pieces.size(1) <= INT32_MAX,
+               (pieces.size(0) == images.size(0) || pieces.size(0) == 1) && pieces.scalar_type() == ScalarType::Float &&
+               pieces.device() == images.device() && pieces.size(1) <= INT32_MAX,
            op, ": expected float32 pieces of shape (B, N, ", kPieceNumbers, ") on the device of images");
   KV_CHECK(size.size() == 2 && size[0] >= 0 && size[1] >= 0, op, ": expected a size of two numbers");
-}
-
-// Images (B, C, H, W), pieces (B, N, 9).
-Tensor paste_pieces(Tensor const& images, Tensor const& pieces, std::vector<int64_t> const& size) {
-  constexpr char const* op = "paste_pieces";
-  check_pieces(op, images, pieces, size);
   Layout const layout = layout_of(images);
   int64_t const sizes[] = {images.size(0), images.size(1), size[0], size[1]};
-  Tensor const x = as_layout(images, layout), y = empty(sizes, x, layout), dense_pieces = dense(pieces);
-  dispatch_floating_and_uint8(op, x, [&]<class T>(Type<T>) {
-    PastePieces<T> const params = paste_parameters<T>(x, y, dense_pieces, layout);
-    KV_RUN(paste_pieces, x, params, y.numel() ? params.y.rows() : 0, params.y.row_size());
-  });
+  Tensor const x = as_layout(images, layout), y = empty(sizes, x, layout);
+  if (y.numel()) run(x, y, dense(pieces), layout);
   return y;
+}
+
+Tensor paste_pieces(Tensor const& images, Tensor const& pieces, std::vector<int64_t> const& size) {
+  constexpr char const* op = "paste_pieces";
+  return paste(op, images, pieces, size, [](Tensor const& x, Tensor const& y, Tensor const& pieces, Layout layout) {
+    dispatch_floating_and_uint8(op, x, [&]<class T>(Type<T>) {
+      PastePieces<T> const params = paste_parameters<T>(x, y, pieces, layout);
+      KV_RUN(paste_pieces, x, params, params.y.rows(), params.y.row_size());
+    });
+  });
 }
 
 Tensor paste_pieces_backward(Tensor const& grad, Tensor const& pieces, std::vector<int64_t> const& size) {
   constexpr char const* op = "paste_pieces_backward";
-  check_pieces(op, grad, pieces, size);
-  Layout const layout = layout_of(grad);
-  int64_t const sizes[] = {grad.size(0), grad.size(1), size[0], size[1]};
-  Tensor const x = as_layout(grad, layout), y = empty(sizes, x, layout), dense_pieces = dense(pieces);
-  dispatch_floating(op, x, [&]<class T>(Type<T>) {
-    PastePieces<T> const params = paste_parameters<T>(x, y, dense_pieces, layout);
-    KV_RUN(paste_pieces_backward, x, params, y.numel() ? params.y.rows() : 0, 4 * params.y.row_size());
+  return paste(op, grad, pieces, size, [](Tensor const& x, Tensor const& y, Tensor const& pieces, Layout layout) {
+    dispatch_floating(op, x, [&]<class T>(Type<T>) {
+      PastePieces<T> const params = paste_parameters<T>(x, y, pieces, layout);
+      KV_RUN(paste_pieces_backward, x, params, params.y.rows(), 4 * params.y.row_size());
+    });
   });
-  return y;
 }
 
 // Columns (B, P) of draws. The plan is the kind, the first draw, the column of the samples that are mixed or -1, the

@@ -64,6 +64,7 @@ GEOMETRIC = [
     Augmentation("RandomIoUCrop", fixed=True),
     Augmentation("RandomSizedBBoxSafeCrop", (9, 11, 0.2), large=(96, 110, 0.2), changes_size=True),
     Augmentation("RandomZoomOut"),
+    Augmentation("RandomScale", ((0.6, 0.9),), changes_size=True, one_kernel=True),
     Augmentation("RandomResizedCrop", ((9, 11),), large=((96, 110),), changes_size=True),
     Augmentation("Resize", ((9, 11),), large=((96, 110),), **SIZED),
     Augmentation("SmallestMaxSize", (9,), large=(90,), **SIZED),
@@ -118,6 +119,7 @@ OCCLUSION = [
     Augmentation("FrequencyMasking", (9,), **COMPOSED),
     Augmentation("GridDropout", (0.5,), {"unit_size_range": (4, 6)}, **COMPOSED),
     Augmentation("GridMask", ((2, 4), (0.2, 0.5), (-0.5, 0.5)), **COMPOSED),
+    Augmentation("MaskDropout", ((1, 2),), fixed=True, **COMPOSED),
     Augmentation("PixelDropout", (0.3,), {"per_channel": True, "drop_value": "random"}, **COMPOSED),
     Augmentation("TimeMasking", (9,), **COMPOSED),
     Augmentation("XYMasking", ((1, 2), (0, 2), (1, 4), (0.1, 0.2)), **COMPOSED),
@@ -183,11 +185,13 @@ def applied(augmentations: Sequence[Augmentation], tensor: Axes) -> list[SampleC
 
 
 CLASSES = dict(input=IMAGE, labels=made("B", lambda s: torch.arange(s.b)))
+INSTANCES = made("B 2 H W", lambda s: (torch.rand(s.b, 2, s.h, s.w) > 0.5).to(torch.uint8))
 MIXES = [
     SampleCall("augmentation.RandomMixUpV2", CLASSES, dict(data_keys=["input", "class"], p=1.0)),
     SampleCall("augmentation.RandomCutMixV2", CLASSES, dict(data_keys=["input", "class"], p=1.0)),
     SampleCall("augmentation.RandomJigsaw", dict(input=rand("B 3 64 64")), dict(p=1.0)),
     SampleCall("augmentation.RandomMosaic", dict(input=IMAGE), dict(data_keys=["input"], p=1.0), ((96, 110),)),
     SampleCall("augmentation.RandomTransplantation", dict(input=IMAGE, mask=LABELS), dict(p=1.0)),
+    SampleCall("augmentation.RandomCopyPaste", dict(input=IMAGE, mask=INSTANCES), dict(p=1.0)),
 ]
 CALLS = [*applied(IMAGES, rand("B 3 H W")), *applied(VOLUMES, VOLUME), *MIXES]

@@ -15,6 +15,7 @@ from benchmarks.sample_calls.tensors import (
     AFFINE3D,
     BOX,
     BOX3D,
+    BOXES_ROTATED,
     BOXES_XYXY,
     CAMERA,
     CAMERA_OF_POINTS,
@@ -98,6 +99,7 @@ GEOMETRY = {
         boxes=BOXES_XYXY, scores=rand("N"), idxs=made("N", lambda s: torch.arange(s.number("N")) % 3), iou_threshold=0.5
     ),
     "soft_nms": dict(boxes=BOXES_XYXY, scores=rand("N")),
+    "nms_rotated": dict(boxes=BOXES_ROTATED, scores=rand("N"), iou_threshold=0.5),
     "box_area": dict(boxes=BOXES_XYXY),
     "clip_boxes_to_image": dict(boxes=BOXES_XYXY, size=(12, 14)),
     "remove_small_boxes": dict(boxes=BOXES_XYXY, min_size=4.0),

@@ -42,6 +42,7 @@ augmentation
     Defocus(p=1.0)
     Denormalize(mean=0.2, std=0.5)
     Downscale((0.1, 0.3), antialias=True, p=1.0)
+    FiveCrop(160)
     FrequencyMasking(60, p=1.0)
     GlassBlur(p=1.0)
     GridDistortion(p=1.0)
@@ -49,6 +50,8 @@ augmentation
     GridMask(rotation_range=(-0.5, 0.5), p=1.0)
     ISONoise((0.05, 0.1), (0.5, 1.5), p=1.0)
     LongestMaxSize(96)
+    MaskDropout(p=1.0)
+    MultiCrop(160, 64)
     MultiplicativeNoise((0.5, 1.5), True, True, p=1.0)
     Normalize(mean=(0.5, 0.4, 0.4), std=(0.3, 0.3, 0.3))
     OneOf(RandomInvert(), RandomAffine(30.0), RandomGaussianBlur((15, 15), (3.0, 5.0)))
@@ -68,6 +71,7 @@ augmentation
     RandomChannelShuffle(p=1.0)
     RandomClahe((2.0, 8.0), p=1.0)
     RandomContrast((0.3, 1.8), p=1.0)
+    RandomCopyPaste(1.0, p=1.0)
     RandomCrop((160, 160), p=1.0)
     RandomCropNearBBox()
     RandomCutMixV2(num_mix=2)
@@ -109,6 +113,7 @@ augmentation
     RandomSaltAndPepperNoise((0.05, 0.2), p=1.0)
     RandomSaturation((0.0, 2.5), p=1.0)
     RandomSharpness((1.0, 8.0), p=1.0)
+    RandomScale((0.4, 0.9), p=1.0)
     RandomShear((-20.0, 20.0, -20.0, 20.0), p=1.0)
     RandomSizedBBoxSafeCrop(160, 160)
     RandomSnow((0.3, 0.6), (1.5, 2.5))
@@ -123,9 +128,10 @@ augmentation
     ShotNoise(p=1.0)
     SmallestMaxSize(96)
     SomeOf(RandomInvert(p=1.0), RandomHorizontalFlip(p=1.0), RandomMotionBlur((31, 31), 90.0, 0.5, p=1.0), n=2)
-    Spatter((0.6, 0.7), p=1.0)
+    Spatter((0.6, 0.7), mode="mud", p=1.0)
     SpeckleNoise(p=1.0)
     Swirl((-4.0, 4.0), p=1.0)
+    TenCrop(160)
     TimeMasking(80, p=1.0)
     Transpose(p=1.0)
     XYMasking((1, 3), (1, 3), (0.05, 0.1), (0.05, 0.1), p=1.0)
@@ -367,12 +373,17 @@ def strip(name: str, call: str) -> bytes:
 def _draws(augment: nn.Module) -> list[Tensor]:
     """The photograph and draws, with the labels that the augmentation moves; those that mix samples get two photographs."""
     image, other = (sources()[name] for name in ("image", "other"))
-    if getattr(augment, "mixes_samples", False) or type(augment).__name__ in ("PatchMix", "RandomTransplantation"):
+    if getattr(augment, "mixes_samples", False) or isinstance(augment, A.PatchMix):
         images = torch.cat([image, other])
         mask = torch.cat([labels()[0], torch.zeros_like(labels()[0])])
-        if isinstance(augment, A.RandomTransplantation):
-            return _cells([images[:1], images[1:], augment(images, mask[:, 0], seed=3)[0][1:]])
+        if isinstance(augment, (A.RandomCopyPaste, A.RandomTransplantation)):
+            mask = mask if isinstance(augment, A.RandomCopyPaste) else mask[:, 0]
+            return _cells([images[:1], images[1:], augment(images, mask, seed=3)[0][1:]])
         return draw_samples(augment, (images,), ["image"], DRAWS, SIZE, seed=3)
+    if isinstance(augment, A.MaskDropout):
+        return [drawing.framed(_cells(image)[0], 3), *_cells(augment(image, masks=labels()[0]))]
+    if isinstance(augment, (A.FiveCrop, A.MultiCrop)):
+        return [drawing.framed(_cells(image)[0], 3), *_cells([x[0] for x in augment(image)], like=image)]
     if isinstance(augment, (A.Normalize, A.Denormalize, A.LongestMaxSize, A.SmallestMaxSize)):
         return [drawing.framed(_cells(image)[0], 3), *_cells(augment(image), like=image)]
     if isinstance(augment, A.IntensityAugmentationBase2D):

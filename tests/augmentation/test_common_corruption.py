@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import functools
+
+import cv2
 import numpy as np
 import pytest
 import torch
 from scipy import ndimage
 
 import kvision.augmentation as A
+from benchmarks.sample_calls.augmentations import CORRUPTION, DISTORTION, OCCLUSION
 from kvision.augmentation.corruption.common import CORRUPTIONS
 
 # What imagecorruptions makes of three pixels of `picture`, in levels.
@@ -23,6 +27,7 @@ VALUES = {
     ("pixelate", 1): [[32.0, 197.0, 220.0], [157.0, 98.0, 30.0], [16.0, 68.0, 220.0]],
     ("pixelate", 4): [[29.0, 205.0, 157.0], [155.0, 108.0, 125.0], [16.0, 81.0, 157.0]],
 }
+SPATTER = {1: 1.0, 3: 1.0, 5: 1.0}
 # Its mean change of `picture` in severity 3, in levels, and how far ours may be off: it draws by other generators, rounds down,
 # swaps pixels in glass_blur and enlarges whole pixels in zoom_blur.
 CHANGES = {
@@ -37,6 +42,7 @@ CHANGES = {
     "elastic_transform": (22.95, 0.05),
     "jpeg_compression": (21.26, 0.1),
     "speckle_noise": (30.64, 0.02),
+    "spatter": (SPATTER[3], 0.1),
 }
 
 
@@ -97,7 +103,7 @@ def test_mud_is_smooth_noise_above_a_threshold(device: torch.device) -> None:
     numbers = {"mean": 0.65, "std": 0.5, "gauss_sigma": 1.5, "cutout_threshold": 0.68, "intensity": 0.6}
     params = {name: torch.tensor([value]) for name, value in numbers.items()}
     color = (0.3, 0.2, 0.1)
-    augment = A.Spatter(gauss_sigma_range=(1, 2), intensity_range=(0.5, 1.0), color=color, p=1.0)
+    augment = A.Spatter(gauss_sigma_range=(1, 2), intensity_range=(0.5, 1.0), mode="mud", color=color, p=1.0)
     y = augment(x, params={**params, "noise": noise, "batch_prob": torch.ones(1)}).cpu()
     layer = ndimage.gaussian_filter(0.65 + 0.5 * noise[0, 0].double().numpy(), 1.5, mode="nearest", radius=8)
     stains = ndimage.gaussian_filter((layer > 0.68).astype(float), 0.6, mode="nearest", radius=4)
@@ -105,6 +111,27 @@ def test_mud_is_smooth_noise_above_a_threshold(device: torch.device) -> None:
     expected = x[0].cpu().numpy() * (1 - stains) + np.array(color)[:, None, None] * stains
     assert 0.1 < (stains > 0).mean() < 0.9
     np.testing.assert_allclose(y[0].numpy(), expected, atol=1e-4)
+
+
+def test_rain_is_a_relief_of_the_distance_from_outlines(device: torch.device) -> None:
+    """By OpenCV and SciPy, but for the outlines: those of the drops themselves, where the peers take Canny's."""
+    x, noise = 0.4 * torch.rand(1, 3, 48, 56, device=device), torch.randn(1, 1, 48, 56)
+    numbers = {"mean": 0.65, "std": 0.5, "gauss_sigma": 2.0, "cutout_threshold": 0.68, "intensity": 0.6}
+    params = {name: torch.tensor([value]) for name, value in numbers.items()}
+    y = A.Spatter(gauss_sigma_range=(1, 2), p=1.0)(x, params={**params, "noise": noise, "batch_prob": torch.ones(1)})
+    layer = ndimage.gaussian_filter(0.65 + 0.5 * noise[0, 0].double().numpy(), 2.0, mode="nearest", radius=8)
+    levels = np.floor(np.where(layer < 0.68, 0, layer).clip(0, 1) * 255).astype(np.uint8)
+    cross = ndimage.generate_binary_structure(2, 1)
+    outline = (levels > 0) & ~ndimage.binary_erosion(levels > 0, cross, border_value=1)
+    distance = cv2.blur(np.minimum(ndimage.distance_transform_edt(~outline), 20).astype(np.float32), (3, 3))
+    spread = cv2.equalizeHist(np.floor(distance).astype(np.uint8))
+    light = np.array([[-2, -1, 0], [-1, 1, 1], [0, 1, 2]], np.float32)
+    relief = cv2.blur(cv2.filter2D(spread, cv2.CV_8U, light).astype(np.float32), (3, 3)).round() * levels
+    drops = 0.6 * relief / relief.max()
+    expected = x[0].cpu().numpy() + np.array([175, 238, 238])[:, None, None] / 255 * drops
+    assert 0.1 < (drops > 0).mean() < 0.9
+    different = np.abs(y[0].cpu().numpy() - expected.clip(0, 1)) > 2e-3
+    assert different.mean() < 5e-3  # means beside a whole number
 
 
 def test_fog_keeps_the_brightest_value() -> None:
@@ -124,9 +151,52 @@ def test_fog_keeps_the_brightest_value() -> None:
         (lambda: A.CommonCorruption("frost"), "CommonCorruption: expected texture for 'frost'"),
         (lambda: A.RandomFrost(torch.ones(2, 8, 8)), "RandomFrost: expected texture of shape"),
         (lambda: A.RandomFog((-1.0, 2.0)), "RandomFog: expected intensity"),
+        (lambda: A.Spatter(mode="snow"), "Spatter: mode must be one of rain, mud"),
         (lambda: A.Spatter(gauss_sigma_range=(0.0, 1.0)), "Spatter: expected gauss_sigma"),
     ],
 )
 def test_wrong_arguments(make: object, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         make()  # type: ignore[operator]
+
+
+FRAMES = [
+    case for case in (*CORRUPTION, *OCCLUSION, *DISTORTION) if case.name not in ("CommonCorruption", "MaskDropout")
+]
+
+
+@pytest.mark.parametrize("same", [True, False])
+def test_frames_of_a_video(same: bool, device: torch.device) -> None:
+    """Equal frames stay equal where all get the same parameters and noise, also those of bytes; else they differ."""
+    x = torch.rand(2, 1, 3, 30, 40, generator=torch.Generator().manual_seed(3)).expand(2, 3, 3, 30, 40).to(device)
+    makes = {case.name: case.make for case in FRAMES}
+    makes |= {
+        name: functools.partial(A.CommonCorruption, name, 3, torch.rand(3, 60, 60) if name == "frost" else None)
+        for name in CORRUPTIONS
+    }
+    found = []
+    for name, make in makes.items():
+        for videos in (x, (255 * x).to(torch.uint8)):
+            augment = A.VideoSequential(make(p=1.0), same_on_frame=same)
+            y = augment(videos, seed=1)
+            are_equal = torch.equal(y, y[:, :1].expand_as(y))
+            if are_equal is not same and (
+                same or augment._params[0].data.keys() - {"batch_prob", "forward_input_shape"}
+            ):
+                found.append(f"{name} {videos.dtype}")
+            if not torch.equal(augment(videos, params=augment._params), y):
+                found.append(f"{name} {videos.dtype} replayed")
+    assert not found
+
+
+def test_autocast_changes_nothing(device: torch.device) -> None:
+    x = torch.rand(2, 3, 24, 28, device=device)
+    for augment in (
+        A.Defocus(p=1.0),
+        A.Downscale(antialias=True, p=1.0),
+        A.CommonCorruption("pixelate", 4),
+        A.Spatter(p=1.0),
+    ):
+        expected = augment(x, seed=1)
+        with torch.autocast(device.type, torch.bfloat16):
+            assert torch.equal(augment(x, seed=1), expected)

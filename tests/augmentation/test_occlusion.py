@@ -104,3 +104,49 @@ def test_grid_mask_drops_lines(device: torch.device) -> None:
 def test_wrong_arguments(make: object, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         make()  # type: ignore[operator]
+
+
+def test_objects_of_masks_are_dropped(device: torch.device) -> None:
+    """One connected region of a value, as Albumentations' MaskDropout, or a channel; from images and masks alike."""
+    masks = torch.zeros(40, 1, 12, 15, dtype=torch.int64, device=device)
+    regions = [
+        (slice(1, 4), slice(1, 6)),
+        (slice(5, 9), slice(2, 5)),
+        (slice(5, 9), slice(5, 9)),
+        (slice(11, 12), slice(0, 15)),
+    ]
+    for number, (rows, columns) in enumerate(regions):  # the second and the third one touch
+        masks[:, :, rows, columns] = (7, 7, 2, 7)[number]
+    x = torch.rand(40, 3, 12, 15, device=device)
+    drop = A.MaskDropout(fill=0.5, p=0.8)
+    y = drop(x, masks=masks, seed=torch.arange(40))
+    changed, found = (y != x).any(1), set()
+    for sample in changed.cpu():
+        own = [i for i, (rows, columns) in enumerate(regions) if sample[rows, columns].any()]
+        assert len(own) <= 1 and sample.sum() == sum(masks[0, 0][regions[i]].numel() for i in own)
+        found.update(own)
+    assert found == {0, 1, 2, 3} and not changed.flatten(1).any(1).all() and (y == 0.5).any()
+    assert torch.equal(drop(x, params=drop._params), y)
+    assert torch.equal(drop(x[3:5], masks=masks[3:5], seed=torch.arange(3, 5)), y[3:5])
+    # In a container, at that step; instances in channels are objects of their own, and boxes stay.
+    instances = torch.cat([masks == 7, masks == 2], 1).to(torch.uint8)
+    augment = A.AugmentationSequential(
+        A.RandomHorizontalFlip(p=1.0),
+        A.MaskDropout((2, 2), p=1.0),
+        A.RandomVerticalFlip(p=1.0),
+        data_keys=["image", "mask"],
+    )
+    y, moved = augment(x, instances)
+    assert moved.sum() == 0
+    assert torch.equal((y == 0).all(1), instances.any(1).flip(-1).flip(-2))
+    every = A.AugmentationSequential(A.MaskDropout((9, 9), p=1.0), data_keys=["image", "mask"])(x, masks)
+    assert every[1].sum() == 0
+    kept = A.AugmentationSequential(A.MaskDropout(fill_mask=None, p=1.0), data_keys=["image", "mask"])(x, masks)
+    assert torch.equal(kept[1], masks) and not torch.equal(kept[0], x)
+    video = A.VideoSequential(A.MaskDropout(p=1.0))
+    frames, _ = A.AugmentationSequential(video, data_keys=["image", "mask"])(
+        x.unflatten(0, (8, 5)), masks.unflatten(0, (8, 5))
+    )
+    assert (frames.flatten(0, 1) != x).any(1).flatten(1).any(1).all()
+    with pytest.warns(UserWarning, match="MaskDropout: this call has no masks"):
+        assert torch.equal(A.MaskDropout(p=1.0)(x), x)

@@ -569,6 +569,7 @@ SPECS = {
         ),
         SMALL,
     ),
+    "RandomScale": Spec(lambda p: A.RandomScale((0.5, 2.0)), in_columns(scale=Uniform(0.5, 2.0)), whole_batch=True),
     "RandomAffine3D": Spec(lambda p: A.RandomAffine3D(30.0, (0.1, 0.2, 0.1), (0.8, 1.2), 10.0, p=p), affine3d, VOLUME),
     "RandomRotation3D": Spec(
         lambda p: A.RandomRotation3D((20.0, 30.0, 40.0), p=p),
@@ -628,7 +629,8 @@ def drawn(spec: Spec, p: float) -> tuple[dict[str, Tensor], Tensor]:
 
 def test_all_classes_that_draw_have_a_spec() -> None:
     fixed = {case.name for case in (*IMAGES, *VOLUMES) if case.fixed}
-    fixed |= {"RandomTransplantation", "RandomTransplantation3D"}  # choose among the labels of masks: test_mix.py
+    # Choose among the labels or instances of masks: test_mix.py, test_copy_paste.py.
+    fixed |= {"RandomCopyPaste", "RandomTransplantation", "RandomTransplantation3D"}
     # Windows that follow from labels or from the size: test_label_crops.py.
     fixed |= {"AtLeastOneBBoxRandomCrop", "CropNonEmptyMaskIfExists", "RandomSizedBBoxSafeCrop", "RandomZoomOut"}
     classes = {

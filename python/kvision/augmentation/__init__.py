@@ -32,6 +32,7 @@ from kvision.augmentation.container import (
 from kvision.augmentation.container.saving import allow_loading as _allow_loading
 from kvision.augmentation.container.saving import from_json, to_json
 from kvision.augmentation.container.sheet import preview
+from kvision.augmentation.copy_paste import RandomCopyPaste
 from kvision.augmentation.corruption import (
     CommonCorruption,
     Defocus,
@@ -110,6 +111,7 @@ from kvision.augmentation.occlusion import (
     FrequencyMasking,
     GridDropout,
     GridMask,
+    MaskDropout,
     PixelDropout,
     TimeMasking,
     XYMasking,
@@ -117,7 +119,7 @@ from kvision.augmentation.occlusion import (
 from kvision.augmentation.perspective import RandomPerspective
 from kvision.augmentation.plasma import RandomPlasmaBrightness, RandomPlasmaContrast, RandomPlasmaShadow
 from kvision.augmentation.random_noise import RandomGaussianNoise, RandomSaltAndPepperNoise
-from kvision.augmentation.resize import LongestMaxSize, Pad, PadIfNeeded, PadTo, Resize, SmallestMaxSize
+from kvision.augmentation.resize import LongestMaxSize, Pad, PadIfNeeded, PadTo, RandomScale, Resize, SmallestMaxSize
 from kvision.augmentation.transforms import Transform
 from kvision.augmentation.transplantation import RandomTransplantation, RandomTransplantation3D
 from kvision.augmentation.volume_crops import CenterCrop3D, RandomCrop3D, RandomResizedCrop3D, Resize3D
@@ -167,6 +169,7 @@ __all__ = [
     "LongestMaxSize",
     "ManyToManyAugmentationDispather",
     "ManyToOneAugmentationDispather",
+    "MaskDropout",
     "MixAugmentationBaseV2",
     "MultiCrop",
     "MultiplicativeNoise",
@@ -190,6 +193,7 @@ __all__ = [
     "RandomChannelShuffle",
     "RandomClahe",
     "RandomContrast",
+    "RandomCopyPaste",
     "RandomCrop",
     "RandomCrop3D",
     "RandomCropNearBBox",
@@ -238,6 +242,7 @@ __all__ = [
     "RandomRotation90",
     "RandomSaltAndPepperNoise",
     "RandomSaturation",
+    "RandomScale",
     "RandomSharpness",
     "RandomShear",
     "RandomSizedBBoxSafeCrop",

@@ -227,6 +227,26 @@ def filter_boxes(
     return _filtered(boxes, mode, size, rule, fraction)
 
 
+def leave_boxes(boxes: Any, kept: Any) -> Any:
+    """Boxes that are kept: lists become shorter; in tensors the others are 0."""
+    if isinstance(boxes, (list, tuple)):
+        return type(boxes)(part[row.to(part.device)] for part, row in zip(boxes, kept))
+    return clear_boxes(boxes, kept)
+
+
+def kept_boxes(boxes: Any, mode: str, keeps: Callable[[Tensor], Tensor | None]) -> Any:
+    """Which boxes stay by their centers (B, N, 2), in the shape of `filter_boxes`; None for all."""
+    edges = box_edges(boxes, mode, 0)
+    kept = keeps((edges[..., :2] + edges[..., 2:]) / 2 - 0.5) if edges.shape[1] else None
+    if kept is None:
+        return None
+    if isinstance(boxes, (list, tuple)):
+        return [row[: len(part)] for row, part in zip(kept, boxes)]
+    if isinstance(boxes, Tensor):
+        return kept.reshape(boxes.shape[: -2 if mode == "vertices" else -1])
+    return kept.reshape(boxes._data.shape[:-2])  # kvision.geometry.boxes.Boxes
+
+
 def clear_boxes(boxes: Any, kept: Any) -> Any:
     """Boxes with 0 for those that do not stay, in tensors, whose shape stays; lists have none of these."""
     if isinstance(boxes, (list, tuple)):

@@ -5,24 +5,30 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, Literal, TypeAlias, get_args
 
+import torch
 from torch import Tensor
 
 from kvision import _check, geometry
 from kvision._choices import ResizeSide
+from kvision._dtype import compute_dtype
 from kvision.augmentation import ranges
 from kvision.augmentation.crops.crop import PadMode, four_sides, padding_resampling
 from kvision.augmentation.draws import Draw
-from kvision.augmentation.engine import Shape
+from kvision.augmentation.engine import Execution, Params, Shape
 from kvision.augmentation.geometric_base import GeometricAugmentationBase2D
 from kvision.augmentation.inputs import parse_size
+from kvision.augmentation.keys import refuse_graphs, refuse_mapped
+from kvision.augmentation.maps import warp, warp_labels
 from kvision.augmentation.random_generator.base import RandomGeneratorBase
 from kvision.augmentation.random_generator.crop import ResizeGenerator
-from kvision.augmentation.transforms import Transform
+from kvision.augmentation.random_generator.plain import PlainUniformGenerator
+from kvision.augmentation.ranges import Numbers
+from kvision.augmentation.transforms import Transform, transform_matrix
 from kvision.augmentation.warp_and_color import Resampling
 from kvision.constants import AnyResample, Resample
 from kvision.core.exceptions import ValueCheckError
 
-__all__ = ["LongestMaxSize", "Pad", "PadIfNeeded", "PadTo", "Resize", "SmallestMaxSize"]
+__all__ = ["LongestMaxSize", "Pad", "PadIfNeeded", "PadTo", "RandomScale", "Resize", "SmallestMaxSize"]
 
 Position: TypeAlias = Literal["center", "top_left", "top_right", "bottom_left", "bottom_right", "random"]
 _POSITIONS = get_args(Position)
@@ -163,6 +169,92 @@ class SmallestMaxSize(Resize):
         **options: Any,
     ) -> None:
         super().__init__(max_size, "short", resample, align_corners, p=p, **options)
+
+
+class RandomScale(GeometricAugmentationBase2D):
+    """Resize images by a random factor, one for a batch, so that the size of the results is random.
+
+    A list of images of different sizes has a factor of each. With seeds of samples the first one's counts for a batch.
+    Labels follow. To scale what is in images of a fixed size, use :class:`RandomAffine` or :class:`RandomZoomOut`.
+
+    Args:
+        scale_range: pair of the lowest and the highest factor, above 0; sizes are rounded, to one pixel at least.
+        resample: 'nearest', 'bilinear' or 'bicubic'.
+        align_corners: the centers of the outermost pixels of image and result correspond; False: their edges.
+        antialias: blur images that become smaller, so that no pixel is skipped.
+        p: probability that a batch is resized.
+        keepdim: an image (C, H, W) gives an image (C, h, w) instead of a batch of one.
+
+    Raises:
+        TypeError, ValueError: `scale_range` does not have the form in Args, or is not above 0; `antialias` with 'nearest'.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.augmentation.RandomScale((0.5, 0.5), p=1.0)(torch.rand(2, 3, 8, 10)).shape
+        torch.Size([2, 3, 4, 5])
+    """
+
+    whole_batch = True
+    has_known_size = False
+
+    def __init__(
+        self,
+        scale_range: Numbers = (0.9, 1.1),
+        resample: AnyResample = Resample.BILINEAR.name,
+        align_corners: bool = False,
+        antialias: bool = True,
+        p: float = 0.5,
+        keepdim: bool = False,
+        **options: Any,
+    ) -> None:
+        super().__init__(p=1.0, p_batch=p, keepdim=keepdim, **options)
+        op = "RandomScale"
+        self._param_generator = PlainUniformGenerator((scale_range, "scale", None, (1e-6, float("inf"))), op=op)
+        self.flags = {
+            "resample": Resample.get(resample),
+            "align_corners": align_corners,
+            "padding_mode": "border",
+            "antialias": _check.switch(op, "antialias", antialias),
+        }
+        if antialias and self.flags["resample"] == Resample.NEAREST:
+            raise ValueCheckError(f"{op}: expected resample 'bilinear' or 'bicubic' with antialias")
+
+    def _named(self, values: Tensor, execution: Execution) -> Params:
+        return super()._named(values[:1].expand_as(values), execution)  # that of the first sample counts
+
+    def _size_of(self, execution: Execution, flags: dict[str, Any]) -> tuple[int, int]:
+        """Height and width of the results, by the factor that the host draws again."""
+        height, width = execution.shape[-2:]
+        if not execution.applied or not execution.shape[0]:
+            return height, width
+        refuse_graphs("RandomScale")
+        scale = self._read_params(execution)["scale"]
+        refuse_mapped("RandomScale", scale)
+        factor = float(scale[0])
+        return max(round(height * factor), 1), max(round(width * factor), 1)
+
+    def _matrix_of(self, x: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
+        (h, w), (height, width) = self._size_of(execution, flags), execution.shape[-2:]
+        corners = float(flags["align_corners"] is not False)
+        chain = [Transform("crop", 0.0, 0.0, float(width), float(height), float(w), float(h), corners)]
+        dtype = compute_dtype(x) if execution.identity is None else execution.identity[1]
+        return transform_matrix(torch.empty(execution.shape[0], 0, dtype=dtype, device=x.device), chain)
+
+    def _run(self, x: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
+        if not execution.applied or self._is_customized():
+            return super()._run(x, execution, flags)
+        execution.matrix, size = self._matrix_of(x, execution, flags), self._size_of(execution, flags)
+        if not flags["antialias"]:
+            return warp(x, execution.matrix, size, self.resampling(flags))
+        mode: Any = Resample.get(flags["resample"]).name.lower()
+        y: Tensor = geometry.resize(x, size, mode, align_corners=flags["align_corners"], antialias=True)
+        return y
+
+    def transform_masks(self, masks: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
+        if not execution.applied:
+            return masks
+        resampling = self.resampling(flags).for_labels(fill=flags.get("mask_fill"))
+        return warp_labels(masks, self._matrix(execution), self._size_of(execution, flags), resampling)
 
 
 class PadTo(GeometricAugmentationBase2D):

@@ -32,7 +32,74 @@ class _WordGenerator(RandomGeneratorBase):
         return [integer(0, 2**24 - 1)]  # exact in float32
 
 
-class RandomTransplantation(MixAugmentationBaseV2):
+class MaskMixBase(MixAugmentationBaseV2):
+    """Base of augmentations that paste what masks mark: :meth:`_drawn` decides it, :meth:`_pasted` does it."""
+
+    needs_masks = True  # containers hand over the masks as they are by then
+    needs_key = DataKey.MASK
+
+    def forward(  # type: ignore[override]  # several inputs
+        self,
+        *input: Tensor,
+        params: Params | None = None,
+        data_keys: DataKeys | None = None,
+        seed: Seed = None,
+        generator: Generator | None = None,
+        **kwargs: Any,
+    ) -> Any:
+        """Paste regions of samples into others.
+
+        Args:
+            *input: images (B, C, H, W) and masks (B, H, W), in the order of the data keys; the spatial axes are two to four.
+            params: the `_params` of an earlier call, to repeat it.
+            data_keys: keys of this call; default: those of the constructor.
+            seed: an int from which all parameters follow.
+            generator: draws the key of this call; default: that of the constructor, or torch's.
+            **kwargs: accepted for the other classes' sake.
+
+        Returns:
+            What was given, with the regions.
+
+        Raises:
+            TypeError: an input is not a tensor.
+            ValueError: there is another number of inputs than of keys, or no mask; shapes do not fit.
+        """
+        op = type(self).__name__
+        keys = self.data_keys if data_keys is None else parse_data_keys(op, data_keys)
+        if len(input) != len(keys) or DataKey.MASK not in keys:
+            raise ValueCheckError(f"{op}: expected one input of each data key, a mask among them, got {len(input)}")
+        for key, x in zip(keys, input):
+            _check.numbers(op, "inputs", x)
+            if x.dim() < 3 and key in (DataKey.INPUT, DataKey.MASK):
+                raise ShapeError(f"{op}: expected images (B, C, H, W) and masks (B, H, W), got {tuple(x.shape)}")
+        masks = input[keys.index(DataKey.MASK)]
+        with nullcontext() if params is None else replaying(op, params):
+            self._execution = execution = self._drawn(masks, params, seed, generator)
+            outputs = [self._pasted(key, x, execution) for key, x in zip(keys, input)]
+        return outputs[0] if len(outputs) == 1 else outputs
+
+    def _drawn(self, masks: Tensor, params: Params | None, seed: Seed, generator: Generator | None) -> Execution:
+        """An execution whose parameters say what is pasted where."""
+        raise NotImplementedError(f"{type(self).__name__}._drawn")
+
+    def _pasted(self, key: DataKey, x: Tensor, execution: Execution) -> Tensor:
+        """Images or labels with what an execution pastes."""
+        raise NotImplementedError(f"{type(self).__name__}._pasted")
+
+    def _masks_of_call(self, masks: Any) -> Tensor:
+        """The masks that a container hands over."""
+        op = type(self).__name__
+        if masks is None:
+            raise ValueCheckError(f"{op}: expected a mask among the data_keys of the container")
+        if not isinstance(masks, Tensor):
+            raise TypeCheckError(f"{op}: expected mask to be a Tensor, got {type(masks).__name__}")
+        return masks
+
+    def transform_masks(self, masks: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
+        return self._pasted(DataKey.MASK, masks, execution)
+
+
+class RandomTransplantation(MaskMixBase):
     """Paste the region of a random label of one sample into the next one, in images and masks.
 
     The donor of a sample is the one before it in the batch. All labels that the donor's mask has are equally likely. In
@@ -80,47 +147,6 @@ class RandomTransplantation(MixAugmentationBaseV2):
         self.excluded_labels = [int(label) for label in excluded]
         self._param_generator = _WordGenerator()
 
-    def forward(  # type: ignore[override]  # several inputs
-        self,
-        *input: Tensor,
-        params: Params | None = None,
-        data_keys: DataKeys | None = None,
-        seed: Seed = None,
-        generator: Generator | None = None,
-        **kwargs: Any,
-    ) -> Any:
-        """Paste regions.
-
-        Args:
-            *input: images (B, C, H, W) and masks (B, H, W), in the order of the data keys; the spatial axes are two to four.
-            params: the `_params` of an earlier call, to repeat it.
-            data_keys: keys of this call; default: those of the constructor.
-            seed: an int from which all parameters follow.
-            generator: draws the key of this call; default: that of the constructor, or torch's.
-            **kwargs: accepted for the other classes' sake.
-
-        Returns:
-            What was given, with the regions.
-
-        Raises:
-            TypeError: an input is not a tensor.
-            ValueError: there is another number of inputs than of keys, or no mask; shapes do not fit.
-        """
-        op = type(self).__name__
-        keys = self.data_keys if data_keys is None else parse_data_keys(op, data_keys)
-        if len(input) != len(keys) or DataKey.MASK not in keys:
-            raise ValueCheckError(f"{op}: expected one input of each data key, a mask among them, got {len(input)}")
-        for x in input:
-            _check.numbers(op, "inputs", x)
-            if x.dim() < 3:
-                raise ShapeError(f"{op}: expected images (B, C, H, W) and masks (B, H, W), got {tuple(x.shape)}")
-        masks = input[keys.index(DataKey.MASK)]
-        with nullcontext() if params is None else replaying(op, params):
-            execution = self._transplants(masks, params, seed, generator)
-            self._execution = execution
-            outputs = [self._pasted(key, x, execution) for key, x in zip(keys, input)]
-        return outputs[0] if len(outputs) == 1 else outputs
-
     def _pasted(self, key: DataKey, x: Tensor, execution: Execution) -> Tensor:
         """Images or masks with the regions of an execution, whose shape is that of the masks."""
         drawn, shape = self._read_params(execution), execution.shape
@@ -137,11 +163,7 @@ class RandomTransplantation(MixAugmentationBaseV2):
         pasted = torch.where(chosen, x[donors], x[acceptors])
         return x.index_copy(0, acceptors, pasted) if acceptors.numel() else x
 
-    # --- in containers, which hand over the masks as they are by then ---
-
-    needs_masks = True
-    needs_key = DataKey.MASK
-    has_known_size = False  # a run of its own
+    # --- in containers ---
 
     def _run_with_masks(
         self, x: Tensor, masks: Any, params: Params | None, seed: Seed, generator: Generator | None
@@ -149,25 +171,19 @@ class RandomTransplantation(MixAugmentationBaseV2):
         op = type(self).__name__
         if masks is None and params is not None and "selection" in params:
             masks = x[:, 0]  # of which only the size counts
-        if masks is None:
-            raise ValueCheckError(f"{op}: expected a mask among the data_keys of the container")
-        if not isinstance(masks, Tensor):
-            raise TypeCheckError(f"{op}: expected mask to be a Tensor, got {type(masks).__name__}")
+        masks = self._masks_of_call(masks)
         if masks.dim() == x.dim() and masks.shape[1] == 1:
             masks = masks[:, 0]
         if masks.dim() != x.dim() - 1:
             raise ShapeError(f"{op}: expected masks of one channel, got {tuple(masks.shape)}")
-        execution = self.__dict__["_execution"] = self._transplants(masks, params, seed, generator)
+        execution = self.__dict__["_execution"] = self._drawn(masks, params, seed, generator)
         execution.params = {**self._read_params(execution), "forward_input_shape": torch.tensor(x.shape, device="cpu")}
         return self._pasted(DataKey.INPUT, x, execution), execution
-
-    def transform_masks(self, masks: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
-        return self._pasted(DataKey.MASK, masks, execution)
 
     def _mixed_labels(self, key: DataKey, labels: Any, execution: Execution, boxes: int | None) -> Any:
         raise self._refuse({DataKey.KEYPOINTS: "key points", DataKey.CLASS: "labels"}.get(key, "boxes"))
 
-    def _transplants(self, masks: Tensor, params: Params | None, seed: Seed, generator: Generator | None) -> Execution:
+    def _drawn(self, masks: Tensor, params: Params | None, seed: Seed, generator: Generator | None) -> Execution:
         """An execution whose parameters say which pixels of which donors go where."""
         shape = tuple(masks.shape)
         if params is not None:

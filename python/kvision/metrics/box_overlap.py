@@ -10,6 +10,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._dtype import floats, promoted
 from kvision._ops import with_kernel_casts
+from kvision.core.rotated_boxes import rotated_overlap
 
 __all__ = ["box_iou_rotated", "complete_box_iou", "distance_box_iou", "generalized_box_iou"]
 
@@ -187,45 +188,4 @@ def box_iou_rotated(boxes1: Tensor, boxes2: Tensor) -> Tensor:
         tensor([[0.3333]])
     """
     a, b = _pairs("box_iou_rotated", boxes1, boxes2, 5)
-    wide_a, wide_b = promoted(a), promoted(b)
-    both = _intersection(wide_a, wide_b)
-    areas = [torch.where((x[..., 2:4] > 0).all(-1), x[..., 2] * x[..., 3], torch.nan) for x in (wide_a, wide_b)]
-    return (both / (areas[0] + areas[1] - both)).to(a.dtype)
-
-
-def _intersection(a: Tensor, b: Tensor) -> Tensor:
-    """The area (*) that boxes (*, 5) have in common.
-
-    In the axes of `b` it is an integral along the edges of `a`: of their y, clamped to the height of `b`, over their x, clamped
-    to the width of `b`. No vertex of the intersection is computed, so that none can be missed or doubled.
-    """
-    turn = torch.deg2rad(a[..., 4] - b[..., 4])
-    angle = torch.deg2rad(b[..., 4])
-    (dx, dy), cos, sin = (a[..., :2] - b[..., :2]).unbind(-1), angle.cos(), angle.sin()
-    middle = torch.stack([dx * cos - dy * sin, dx * sin + dy * cos], -1)  # y points down
-    right = torch.stack([turn.cos(), -turn.sin()], -1) * a[..., 2:3] / 2
-    down = torch.stack([turn.sin(), turn.cos()], -1) * a[..., 3:4] / 2
-    corners = torch.stack([s * right + t * down for s, t in ((-1, -1), (1, -1), (1, 1), (-1, 1))], -2)
-    x0, y0 = (middle[..., None, :] + corners).unbind(-1)
-    x1, y1 = x0.roll(-1, -1), y0.roll(-1, -1)
-    half_width, half_height = (b[..., 2:4, None] / 2).unbind(-2)
-    u0, u1 = _clamped(x0, half_width), _clamped(x1, half_width)
-    is_vertical = x0 == x1
-    slope = torch.where(is_vertical, 0, (y1 - y0) / torch.where(is_vertical, 1, x1 - x0))
-    mean = _mean_clamped(y0 + (u0 - x0) * slope, y1 + (u1 - x1) * slope, half_height)
-    return ((u0 - u1) * mean).sum(-1)  # the corners go clockwise
-
-
-def _clamped(x: Tensor, limit: Tensor) -> Tensor:
-    return torch.minimum(torch.maximum(x, -limit), limit)
-
-
-def _mean_clamped(a: Tensor, b: Tensor, limit: Tensor) -> Tensor:
-    """The mean of a number clamped to [-limit, limit] while it goes from `a` to `b`."""
-    low, high = torch.minimum(a, b), torch.maximum(a, b)
-    below = torch.minimum(high, -limit) - torch.minimum(low, -limit)
-    above = torch.maximum(high, limit) - torch.maximum(low, limit)
-    first, last = _clamped(low, limit), _clamped(high, limit)
-    integral = limit * (above - below) + (last - first) * (last + first) / 2
-    is_short = high - low <= 1e-7 * limit  # the gradient of the quotient would lose its digits
-    return torch.where(is_short, (first + last) / 2, integral / torch.where(is_short, 1, high - low))
+    return rotated_overlap(promoted(a), promoted(b)).to(a.dtype)

@@ -47,7 +47,7 @@ class Grayscale(Transform):
 
 
 class RandomGrayscale(RandomTransform):
-    """Make gray of colors with a in as many channels.
+    """Make gray of colors with a probability, in as many channels.
 
     Args:
         p: the probability.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import cv2
 import pytest
 import torch
 
@@ -260,3 +261,35 @@ BAD = [
 def test_errors_of_sizes(call: Any, error: type[Exception], message: str) -> None:
     with pytest.raises(error, match=message):
         call()
+
+
+@pytest.mark.parametrize("antialias", [True, False])
+def test_scaled_images_have_another_size(antialias: bool, device: torch.device) -> None:
+    """OpenCV's resize of the same size; labels follow; a list has a factor of each image."""
+    x = torch.rand(3, 3, 20, 30, device=device)
+    augment = A.AugmentationSequential(
+        A.RandomScale((0.4, 1.6), antialias=antialias, p=1.0), data_keys=["image", "mask", "bbox_xyxy"]
+    )
+    boxes, sizes = torch.tensor([[[3.0, 4, 21, 16]]], device=device).expand(3, 1, 4), set()
+    for seed in range(12):
+        y, masks, moved = augment(x, (x[:, :1] > 0.5).float(), boxes, seed=seed)
+        h, w = y.shape[-2:]
+        scale = float(augment._params[0].data["scale"][0])
+        assert (h, w) == (round(20 * scale), round(30 * scale)) and masks.shape == (3, 1, h, w)
+        torch.testing.assert_close(moved[0, 0].cpu(), torch.tensor([3 * w / 30, 4 * h / 20, 21 * w / 30, 16 * h / 20]))
+        if scale > 1:
+            expected = cv2.resize(x[0].movedim(0, -1).cpu().numpy(), (w, h), interpolation=cv2.INTER_LINEAR)
+            torch.testing.assert_close(y[0].movedim(0, -1).cpu(), torch.from_numpy(expected), atol=1e-5, rtol=0)
+        again = augment(x, params=augment._params, data_keys=["image"])
+        assert torch.equal(again, y) and augment.inverse(y, data_keys=["image"]).shape == x.shape
+        sizes.add((h, w))
+    assert len(sizes) > 8
+    results = A.RandomScale((0.4, 1.6), p=1.0)([x[0], x[1, :, :10]], seed=torch.tensor([1, 2]))
+    alone = [
+        A.RandomScale((0.4, 1.6), p=1.0)(i[None], seed=torch.tensor([s]))[0] for i, s in ((x[0], 1), (x[1, :, :10], 2))
+    ]
+    assert all(map(torch.equal, results, alone))
+    kept = A.RandomScale(p=0.0)(x)
+    assert torch.equal(kept, x)
+    with pytest.raises(ValueError, match="RandomScale: expected scale"):
+        A.RandomScale((0.0, 1.0))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import Any
 
 import pytest
@@ -265,6 +266,100 @@ def test_compiles_with_labels() -> None:
     compiled = torch.compile(augment, fullgraph=True, backend="aot_eager")
     for a, b in zip(compiled(x, boxes, seed=3), augment(x, boxes, seed=3)):
         torch.testing.assert_close(a, b)
+
+
+def test_a_call_without_labels_is_told(device: torch.device) -> None:
+    x = torch.zeros(2, 1, 20, 20, device=device)
+    calls = {
+        "boxes": (
+            A.RandomIoUCrop(),
+            A.AtLeastOneBBoxRandomCrop(9, 9),
+            A.AugmentationSequential(A.RandomCropNearBBox(), data_keys=["image"]),
+        ),
+        "masks": (A.CropNonEmptyMaskIfExists(9, 9),),
+    }
+    for name, modules in calls.items():
+        for module in modules:
+            with pytest.warns(UserWarning, match=f"this call has no {name}, by which windows are chosen"):
+                module(x)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        A.RandomIoUCrop()(x, boxes=torch.zeros(2, 0, 4, device=device))
+        A.RandomZoomOut()(x)
+
+
+CENTERS = {
+    "alone": lambda crop, **o: A.AugmentationSequential(crop, **o),
+    "one warp": lambda crop, **o: A.AugmentationSequential(A.RandomVerticalFlip(p=1.0), crop, A.RandomHorizontalFlip(p=1.0), **o),
+    "once": lambda crop, **o: A.AugmentationSequential(crop, A.RandomAffine(20.0, p=1.0), resample="once", **o),
+    "composed": lambda crop, **o: A.AugmentationSequential(crop, A.RandomThinPlateSpline(0.1, p=1.0), resample="once", **o),
+    "nested": lambda crop, **o: A.AugmentationSequential(A.ImageSequential(A.RandomHorizontalFlip(p=1.0), crop), **o),
+    "chosen": lambda crop, **o: A.AugmentationSequential(A.OneOf(crop, A.RandomHorizontalFlip(p=1.0)), **o),
+    "filtered": lambda crop, **o: A.AugmentationSequential(crop, min_box_area=1.0, **o),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("form", CENTERS)
+def test_boxes_whose_centers_leave_the_window_are_removed(form: str, device: torch.device) -> None:
+    """As torchvision does, with their labels and masks; also where the crop is joined with its neighbors."""
+    count, size = 24, torch.tensor([WIDTH, HEIGHT] * 2)
+    boxes = torch.tensor([[10.0, 12, 30, 40], [50, 5, 70, 25], [0, 50, 9, 60]]).expand(count, 3, 4).to(device)
+    labels, masks = (
+        torch.tensor([[1, 2, 3]]).expand(count, 3).to(device),
+        torch.ones(count, 3, 60, 80, dtype=torch.uint8),
+    )
+    crop = A.RandomIoUCrop(sampler_options=[0.2])
+    keys = ["image", "bbox_xyxy", "class", "mask"]
+    augment = CENTERS[form](crop, data_keys=keys)
+    inputs = [grid(count, device), boxes, labels, masks.to(device)]
+    _, moved, names, moved_masks = augment(*inputs, seed=torch.arange(count))
+    windows, at = [], torch.arange(count)
+    items = [item for item in flat_items(augment._params) if "output_size" in item.data]
+    assert len(items) == 1
+    if getattr(items[0], "samples", None) is not None:
+        at = at[items[0].samples > 0.5]
+    src = items[0].data["src"]
+    windows = torch.cat([src[:, 0], src[:, 2] + 1], 1)
+    seen = boxes[at].cpu()
+    if form == "one warp":
+        seen = torch.stack([seen[..., 0], 60 - seen[..., 3], seen[..., 2], 60 - seen[..., 1]], -1)
+    if form == "nested":
+        seen = torch.stack([80 - seen[..., 2], seen[..., 1], 80 - seen[..., 0], seen[..., 3]], -1)
+    center = (seen[..., :2] + seen[..., 2:]) / 2
+    inside = ((windows[:, None, :2] < center) & (center < windows[:, None, 2:])).all(-1)
+    is_whole = (windows == torch.tensor([0.0, 0, WIDTH, HEIGHT])).all(1)
+    assert not inside.all() and (~is_whole).sum() > len(at) // 2 and size.numel()
+    expected = torch.ones(count, 3, dtype=torch.bool)
+    expected[at] = inside
+    assert torch.equal(names.cpu(), torch.where(expected, labels.cpu(), -1))
+    assert torch.equal((moved != 0).any(-1).cpu(), expected)
+    gone = torch.where(expected[..., None, None], moved_masks.cpu(), 0)
+    assert torch.equal(moved_masks.cpu() * expected[..., None, None], gone)
+    lists = augment(inputs[0], list(boxes), list(labels), list(inputs[3]), seed=torch.arange(count))
+    assert [part.tolist() for part in lists[2]] == [row[keep].tolist() for row, keep in zip(labels.cpu(), expected)]
+    assert [len(part) for part in lists[1]] == [len(part) for part in lists[3]] == expected.sum(1).tolist()
+
+
+def flat_items(params: Any) -> list[Any]:
+    return [item for outer in params for item in (flat_items(outer.data) if isinstance(outer.data, list) else [outer])]
+
+
+def test_boxes_of_lists_of_images_are_removed_by_centers(device: torch.device) -> None:
+    images = [grid(1, device)[0], grid(1, device)[0, :, :40, :50]]
+    boxes = [torch.tensor([[10.0, 12, 30, 36], [30, 5, 48, 25]], device=device)] * 2
+    augment = A.AugmentationSequential(
+        A.RandomIoUCrop(sampler_options=[0.3], size=(20, 24)),
+        A.RandomHorizontalFlip(),
+        data_keys=["image", "bbox_xyxy"],
+    )
+    counts = set()
+    for seed in range(8):
+        _, moved = augment(images, boxes, seed=seed)
+        counts.update(len(part) for part in moved)
+        for part in moved:
+            center = (part[:, :2] + part[:, 2:]) / 2
+            assert ((center > 0) & (center < torch.tensor([24.0, 20], device=device))).all()
+    assert counts == {1, 2}
 
 
 BAD = [

@@ -11,6 +11,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._choices import Border
 from kvision._dtype import compute_dtype
+from kvision._ops import without_autocast_and_tf32
 from kvision.augmentation import ranges
 from kvision.augmentation.corruption.moved import sum_of_moved
 from kvision.augmentation.corruption.noises import params_in_type_of
@@ -25,6 +26,7 @@ from kvision.filters.smoothing.gaussian import gaussian_blur2d
 _WINDOW = 8  # pixels to each side; larger disks have larger windows, and are blurred by five taps, not three
 
 
+@without_autocast_and_tf32
 def disk_kernels(radius: Tensor, alias_blur: Tensor, largest: int) -> Tensor:
     """Disks (B, K, K) of radii (B,), at most `largest`, whose edges are blurred by Gaussians of deviations (B,).
 

@@ -18,7 +18,7 @@ from kvision.augmentation.corruption.blurs import disk_kernels, glass, mean_of_e
 from kvision.augmentation.corruption.downscale import block_means
 from kvision.augmentation.corruption.moved import sum_of_moved
 from kvision.augmentation.corruption.noises import as_stored, in_units, photons
-from kvision.augmentation.corruption.weather import WINDOW, as_textures, cut_textures, fogged
+from kvision.augmentation.corruption.weather import WINDOW, as_textures, cut_textures, fogged, spattered
 from kvision.augmentation.engine import Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
 from kvision.augmentation.noise import BY_CHANNEL, CLAMP, MULTIPLY, PixelNoise, gaussian_noise, salt_and_pepper
@@ -194,11 +194,24 @@ def _elastic_transform(x: Tensor, drawn: Params, alpha: float) -> Tensor:
 
 def _pixelate(x: Tensor, drawn: Params, scale: float) -> Tensor:
     sizes = [x.new_full((len(x), 1), max(int(n * scale), 1), dtype=torch.float64) for n in x.shape[-2:]]
-    return block_means(x, sizes, whole=True)
+    return block_means(x, sizes, True)
 
 
 def _jpeg_compression(x: Tensor, drawn: Params, quality: float) -> Tensor:
     return jpeg_codec_differentiable(clamp(x, 0, 1), x.new_full((len(x),), quality))
+
+
+def _spatter(
+    x: Tensor,
+    drawn: Params,
+    mean: float,
+    deviation: float,
+    smooth: float,
+    threshold: float,
+    intensity: float,
+    is_mud: float,
+) -> Tensor:
+    return spattered(x, mean + deviation * drawn["noise"], smooth, threshold, intensity, "mud" if is_mud else "rain")
 
 
 _BORDER = Resampling("bilinear", "border", True)
@@ -261,6 +274,17 @@ CORRUPTIONS: dict[str, Corruption] = {
     "jpeg_compression": Corruption(_jpeg_compression, _each(25, 18, 15, 10, 7)),
     "speckle_noise": Corruption(_speckle_noise, _each(0.15, 0.2, 0.35, 0.45, 0.6), fused=_normal_factors),
     "gaussian_blur": Corruption(_gaussian_blur, _each(1, 2, 3, 4, 6)),
+    "spatter": Corruption(
+        _spatter,
+        (
+            (0.65, 0.3, 4, 0.69, 0.6, False),
+            (0.65, 0.3, 3, 0.68, 0.6, False),
+            (0.65, 0.3, 2, 0.68, 0.5, False),
+            (0.65, 0.3, 1, 0.65, 1.5, True),
+            (0.67, 0.4, 1, 0.65, 1.5, True),
+        ),
+        NoiseMap(True, _PLANE),
+    ),
     "saturate": Corruption(_saturate, ((0.3, 0), (0.1, 0), (2, 0), (5, 0.1), (20, 0.2))),
 }
 
@@ -270,12 +294,12 @@ class CommonCorruption(IntensityAugmentationBase2D, keeps_contract=True):
 
     The parameters are those of Hendrycks and Dietterich, Benchmarking neural network robustness to common corruptions and
     perturbations, ICLR 2019, for images of any size and any number of channels. Results are clamped to [0, 1]. Labels stay as
-    they are. Of the four corruptions for validation 'spatter' is missing; `Spatter` throws mud.
+    they are.
 
     Args:
         name: 'gaussian_noise', 'shot_noise', 'impulse_noise', 'defocus_blur', 'glass_blur', 'motion_blur', 'zoom_blur', 'snow',
             'frost', 'fog', 'brightness', 'contrast', 'elastic_transform', 'pixelate', 'jpeg_compression' (RGB); for validation
-            'speckle_noise', 'gaussian_blur', 'saturate'.
+            'speckle_noise', 'gaussian_blur', 'spatter', 'saturate'.
         severity: 1 to 5.
         texture: for 'frost', pictures (N, 3, h, w) or one (3, h, w) of frost, in [0, 1] or uint8, at least as large as images.
         same_on_batch: all samples get the same parameters.

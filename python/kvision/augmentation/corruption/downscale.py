@@ -10,6 +10,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import compute_dtype
+from kvision._ops import without_autocast_and_tf32
 from kvision.augmentation.engine import Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
 from kvision.augmentation.random_generator.mapped import MappedGenerator
@@ -59,12 +60,14 @@ class Downscale(IntensityAugmentationBase2D, keeps_contract=True):
         scale = params["scale"].to(input.device, torch.float64)[:, None]
         sizes = [(n * scale).round().clamp(min=1) for n in input.shape[-2:]]
         if self.antialias:
-            return block_means(input, sizes)
+            means: Tensor = block_means(input, sizes)
+            return means
         y, x = (_read(_block(n, size), n, size) for n, size in zip(input.shape[-2:], sizes))
         at = y[:, :, None] * input.shape[-1] + x[:, None]
         return input.flatten(2).gather(2, at.flatten(1)[:, None].expand(-1, input.shape[1], -1)).view_as(input)
 
 
+@without_autocast_and_tf32
 def block_means(x: Tensor, sizes: Sequence[Tensor], whole: bool = False) -> Tensor:
     """Images whose pixels are the means of blocks, of which `sizes` (B, 1) lie down and across.
 

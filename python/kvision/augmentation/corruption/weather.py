@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal, TypeAlias, get_args
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 from kvision import _check
@@ -20,9 +21,13 @@ from kvision.augmentation.random_generator.mapped import MappedGenerator, NoiseM
 from kvision.augmentation.random_generator.plasma import PlasmaGenerator
 from kvision.augmentation.warp_and_color import Resampling
 from kvision.core.exceptions import ShapeError, TypeCheckError
+from kvision.enhance.equalize import equalize
+from kvision.filters.filter2d import filter2d
 from kvision.filters.smoothing.gaussian import gaussian_blur2d
 
-_MUD = (63 / 255, 42 / 255, 20 / 255)
+SpatterMode: TypeAlias = Literal["rain", "mud"]
+_COLORS = {"rain": (175 / 255, 238 / 255, 238 / 255), "mud": (63 / 255, 42 / 255, 20 / 255)}
+_FAR = 20  # pixels from the outline of a drop, from which on its relief is flat
 
 
 def fogged(x: Tensor, plasma: Tensor, amount: Tensor) -> Tensor:
@@ -174,17 +179,19 @@ class RandomFrost(IntensityAugmentationBase2D, keeps_contract=True):
 
 
 class Spatter(IntensityAugmentationBase2D, keeps_contract=True):
-    """Throw mud at the lens: smooth noise above a threshold hides images.
+    """Throw rain or mud at the lens: where smooth noise is above a threshold drops brighten images, or stains hide them.
 
-    This is the mode 'mud' of Albumentations. Images of other than 3 channels get the gray of the color.
+    These are the modes of Albumentations' `Spatter` and of ImageNet-C. Images of other than 3 channels get the gray of the color.
 
     Args:
         mean_range: pair of the lowest and the highest mean of the noise.
         std_range: the same of its standard deviation.
         gauss_sigma_range: the same of the deviation of the Gaussian that smooths it, in pixels, above 0.
         cutout_threshold_range: the same of the threshold.
-        intensity_range: the same of the deviation of the Gaussian that softens the edges of stains, above 0.
-        color: red, green and blue of the mud, within 0 and 1.
+        intensity_range: the same of the brightness of drops, or of the deviation of the Gaussian that softens the edges of mud,
+            above 0.
+        mode: 'rain' or 'mud'.
+        color: red, green and blue, within 0 and 1; default: pale turquoise of rain, brown of mud.
         same_on_batch: all samples get the same parameters.
         p: probability that a sample is augmented.
         keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
@@ -194,7 +201,7 @@ class Spatter(IntensityAugmentationBase2D, keeps_contract=True):
 
     Example:
         >>> import torch, kvision as K
-        >>> mud = K.augmentation.Spatter(mean_range=(0.9, 0.9), color=(0.5, 0.5, 0.5), p=1.0)
+        >>> mud = K.augmentation.Spatter(mean_range=(0.9, 0.9), mode="mud", color=(0.5, 0.5, 0.5), p=1.0)
         >>> mud(torch.ones(1, 3, 32, 32)).amin()
         tensor(0.5000)
     """
@@ -208,7 +215,8 @@ class Spatter(IntensityAugmentationBase2D, keeps_contract=True):
         gauss_sigma_range: Any = (2.0, 2.0),
         cutout_threshold_range: Any = (0.68, 0.68),
         intensity_range: Any = (0.6, 0.6),
-        color: Any = _MUD,
+        mode: SpatterMode = "rain",
+        color: Any = None,
         same_on_batch: bool = False,
         p: float = 0.5,
         keepdim: bool = False,
@@ -216,10 +224,11 @@ class Spatter(IntensityAugmentationBase2D, keeps_contract=True):
     ) -> None:
         super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
         op, any_number, positive = "Spatter", None, (1e-3, float("inf"))
-        parsed = ranges.fill_value(op, "color", color)
+        _check.choice(op, "mode", mode, get_args(SpatterMode))
+        parsed = ranges.fill_value(op, "color", _COLORS[mode] if color is None else color)
         if not isinstance(parsed, list) or len(parsed) != 3:
             raise TypeCheckError(f"{op}: expected color to be three numbers, got {color!r}")
-        self.color = tuple(parsed)
+        self.mode, self.color = mode, tuple(parsed)
         generator = MappedGenerator(
             (mean_range, "mean", None, any_number),
             (std_range, "std", None, (0.0, float("inf"))),
@@ -236,24 +245,81 @@ class Spatter(IntensityAugmentationBase2D, keeps_contract=True):
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
-        names = ("mean", "std", "cutout_threshold", "noise")
-        mean, std, threshold, noise = params_in_type_of(params, input, *names)
+        names = ("mean", "std", "cutout_threshold", "intensity", "noise")
+        mean, std, threshold, intensity, noise = params_in_type_of(params, input, *names)
         smooth, soft = (params[name].to(noise)[:, None].expand(-1, 2) for name in ("gauss_sigma", "intensity"))
-        return muddy(input, mean + std * noise, threshold, smooth, soft, self._reaches, self.color)
+        layer = _smooth(mean + std * noise, smooth, self._reaches[0])
+        if self.mode == "rain":
+            return rainy(input, layer, threshold, intensity, self.color)
+        return muddy(input, layer, threshold, soft, self._reaches[1], self.color)
+
+
+def _smooth(x: Tensor, deviations: Any, reach: int) -> Tensor:
+    y: Tensor = gaussian_blur2d(x, (2 * reach + 1,) * 2, deviations, "replicate")
+    return y
+
+
+def spattered(x: Tensor, noise: Tensor, smooth: float, threshold: float, intensity: float, mode: SpatterMode) -> Tensor:
+    """Images behind rain or mud of noise (B, 1, H, W)."""
+    layer = _smooth(noise, (smooth, smooth), reach_of(smooth))
+    if mode == "rain":
+        return rainy(x, layer, threshold, intensity)
+    return muddy(x, layer, threshold, (intensity, intensity), reach_of(intensity))
+
+
+def _colored(x: Tensor, color: tuple[float, ...]) -> Tensor:
+    """A color that broadcasts with images, gray where these are not RGB."""
+    own = constant(color, x)[:, None, None]
+    return own if x.shape[1] == 3 else own.mean()
 
 
 def muddy(
     x: Tensor,
-    noise: Tensor,
+    layer: Tensor,
     threshold: Tensor | float,
-    smooth: Any,
     soft: Any,
-    reaches: tuple[int, int],
-    color: tuple[float, ...] = _MUD,
+    reach: int,
+    color: tuple[float, ...] = _COLORS["mud"],
 ) -> Tensor:
-    """Images behind stains where smooth noise (B, 1, H, W) is above a threshold; deviations of two Gaussians, and their taps."""
-    layer = gaussian_blur2d(noise, (2 * reaches[0] + 1,) * 2, smooth, "replicate")
-    stains = gaussian_blur2d((layer > threshold).to(noise), (2 * reaches[1] + 1,) * 2, soft, "replicate")
+    """Images behind stains where smooth noise (B, 1, H, W) is above a threshold; their edges have a Gaussian of so many taps."""
+    stains = _smooth((layer > threshold).to(layer), soft, reach)
     stains = torch.where(stains < 0.8, 0, stains)
-    mud = constant(color, noise)[:, None, None]
-    return clamp(x * (1 - stains) + (mud if x.shape[1] == 3 else mud.mean()) * stains, 0, 1)
+    return clamp(x * (1 - stains) + _colored(stains.expand_as(x), color) * stains, 0, 1)
+
+
+def rainy(
+    x: Tensor,
+    layer: Tensor,
+    threshold: Tensor | float,
+    intensity: Tensor | float,
+    color: tuple[float, ...] = _COLORS["rain"],
+) -> Tensor:
+    """Images brightened by drops where smooth noise (B, 1, H, W) is above a threshold.
+
+    A drop is a relief of its levels, lit from a corner: that of the distance from the outlines of drops.
+    """
+    levels = torch.where(layer < threshold, 0, layer).clamp(0, 1).mul(255).floor()
+    inside = (levels > 0).to(levels)
+    least = torch.minimum(*(-F.max_pool2d(-inside, k, 1, (k[0] // 2, k[1] // 2)) for k in ((3, 1), (1, 3))))
+    distance = _distances(inside > least)
+    spread = equalize(_mean_of_nine(distance).floor().to(torch.uint8), opencv=True).to(levels)
+    light = constant(((-2.0, -1.0, 0.0), (-1.0, 1.0, 1.0), (0.0, 1.0, 2.0)), levels)[None]
+    relief = _mean_of_nine(filter2d(spread, light).round().clamp(0, 255)).round() * levels
+    drops = relief / relief.amax((2, 3), keepdim=True).clamp(min=1) * intensity
+    return clamp(x + drops * _colored(x, color), 0, 1)
+
+
+def _mean_of_nine(x: Tensor) -> Tensor:
+    y: Tensor = filter2d(x, constant(((1 / 9,) * 3,) * 3, x)[None])
+    return y
+
+
+def _distances(is_marked: Tensor) -> Tensor:
+    """The Euclidean distances (B, 1, H, W) to the nearest marked pixel, at most `_FAR`: along rows, and then along columns."""
+    squares = torch.where(is_marked, 0.0, float(_FAR**2))
+    for pad in ((_FAR, _FAR), (0, 0, _FAR, _FAR)):
+        padded, axis = F.pad(squares, pad, value=float(_FAR**2)), 3 if len(pad) == 2 else 2
+        for moved in range(-_FAR + 1, _FAR):
+            near = padded.narrow(axis, _FAR + moved, squares.shape[axis])
+            squares = torch.minimum(squares, near + moved * moved)
+    return squares.sqrt()

@@ -76,8 +76,8 @@ class RandomIoUCrop(WindowCrop):
     no boxes.
 
     Boxes are those of an :class:`AugmentationSequential` at this step, or `boxes` of a call, (B, N, 4) or a list of (N, 4), as
-    (left, top, right, bottom) in pixels. Those whose centers are outside of the window stay, where torchvision removes
-    them; `min_box_visibility` of the container does.
+    (left, top, right, bottom) in pixels. Those whose centers are outside of the window are removed by the container, with their
+    labels and masks, as torchvision does in two steps.
 
     Args:
         min_scale: least width and height of windows, as fractions of the image's.
@@ -108,6 +108,7 @@ class RandomIoUCrop(WindowCrop):
     """
 
     reads_labels = "boxes"
+    removes_boxes = True
 
     def __init__(
         self,

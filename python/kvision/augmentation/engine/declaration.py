@@ -7,12 +7,14 @@ have the defaults; none of them executes anything.
 from __future__ import annotations
 
 import inspect
+import warnings
 from collections.abc import Mapping, Sequence
 from enum import Enum
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import torch
 from torch import Generator, Tensor, nn
+from torch.compiler import is_compiling
 from typing_extensions import Self
 
 from kvision import _check
@@ -67,6 +69,7 @@ class Declaration(KeepsArguments):
     # "boxes" or "masks" of the images, from which the generator derives columns: containers hand over those that are there by
     # then, and calls have an argument of this name.
     reads_labels: ClassVar[str | None] = None
+    removes_boxes: ClassVar[bool] = False  # whose centers are outside of the results
     accepts_bytes: bool = True  # otherwise uint8 images are computed in float32, in [0, 1]
     accepts_wide_integers: ClassVar[bool] = False  # images of int16 and uint16, which are computed in float32
     keeps_lines: ClassVar[bool] = True  # straight lines stay straight, so that the corners of a box say where it is
@@ -195,6 +198,12 @@ class Declaration(KeepsArguments):
     def _derived(self, drawn: Columns, sizes: Tensor, labels: Any = None, frames: int = 1) -> Columns:
         """The columns of images of sizes (B, 2), from drawn ones and labels; those of `frames` neighbors are the same."""
         assert self._param_generator is not None
+        if labels is None and self.reads_labels is not None and not is_compiling():
+            warnings.warn(
+                f"{type(self).__name__}: this call has no {self.reads_labels}, by which windows are chosen: pass "
+                f"`{self.reads_labels}=`, or in an AugmentationSequential their data key; images without any have empty ones",
+                stacklevel=2,
+            )
         values = drawn.values[::frames] if frames > 1 else drawn.values
         values = self._param_generator.derive(values, sizes, labels).to(drawn.drawn)
         values = values.repeat_interleave(frames, 0) if frames > 1 else values

@@ -69,6 +69,9 @@ class LabelRecord:
         for part, after in _parts(stages, has_boxes):
             part_size = after.source_size() or size
             if isinstance(part, Chain) and not isinstance(part, Nested):
+                if removed := self._kept_by_centers(keys, values, part):
+                    self._leave(keys, values, removed)
+                    kept = labels.kept_by_both(kept, removed)
                 for i, key in enumerate(keys):
                     values[i] = self._moved(i, key, values[i], part, part_size, settings)
             elif isinstance(part, Applied):
@@ -99,12 +102,33 @@ class LabelRecord:
             if key in BOX_FORMATS:
                 fraction = self._fractions.pop(i, None)
                 values[i], kept[i] = labels.filter_boxes(values[i], BOX_FORMATS[key], size, rule, fraction)
+        self._leave_of_boxes(keys, values, kept)
+        return kept
+
+    def _leave_of_boxes(self, keys: Sequence[DataKey], values: list[Any], kept: Kept) -> None:
+        """Leave the class labels and masks of boxes that are kept."""
         for i, key in enumerate(keys):
             if key in (DataKey.CLASS, DataKey.MASK):
                 before = [at for at in kept if at < i]
                 of_boxes = kept[before[-1] if before else min(kept)]
                 filtered = labels.filter_labels if key == DataKey.CLASS else labels.filter_masks
                 values[i] = filtered(values[i], of_boxes)
+
+    def _leave(self, keys: Sequence[DataKey], values: list[Any], kept: Kept) -> None:
+        """Leave the boxes that are kept, with their class labels and masks."""
+        for i, of_input in kept.items():
+            values[i] = labels.leave_boxes(values[i], of_input)
+        self._leave_of_boxes(keys, values, kept)
+
+    def _kept_by_centers(self, keys: Sequence[DataKey], values: list[Any], stages: Chain) -> Kept:
+        """The boxes whose centers are in the results of those of the stages that remove others; nothing where none does."""
+        kept: Kept = {}
+        for i, key in enumerate(keys) if stages.removes_boxes else ():
+            if (
+                key in BOX_FORMATS
+                and (own := labels.kept_boxes(values[i], BOX_FORMATS[key], stages.keeps_centers)) is not None
+            ):
+                kept[i] = own
         return kept
 
     def _moved(self, i: int, key: DataKey, value: Any, stages: Chain, size: Size, settings: LabelSettings) -> Any:

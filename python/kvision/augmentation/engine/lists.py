@@ -21,7 +21,7 @@ from kvision.augmentation.engine.call_labels import CallLabels
 from kvision.augmentation.engine.execution import Execution, matrix_type
 from kvision.augmentation.engine.list_calls import SIZES
 from kvision.augmentation.engine.record import Child
-from kvision.augmentation.engine.stages import MaskReading, Warp
+from kvision.augmentation.engine.stages import Applied, MaskReading, Warp
 from kvision.augmentation.keys import Keys
 from kvision.augmentation.maps import exact, warp_each
 from kvision.augmentation.transforms import Transform, transform_matrix
@@ -300,7 +300,8 @@ def execute_list(
     batch = module._warp_list(list(images), matrix, size, flags)
     execution = own.execution(values, span, matrix_type(like), matrix)
     child.record = module.__dict__["_execution"] = execution
-    return batch, ListWarp(matrix, own.sides, size, module.resampling(flags))
+    parts = [Applied(module, execution, flags)] if module.removes_boxes else ()
+    return batch, ListWarp(matrix, own.sides, size, module.resampling(flags), parts)
 
 
 def _derived(module: Any, drawn: Tensor, images: Sequence[Tensor], call_labels: CallLabels | None) -> Tensor:

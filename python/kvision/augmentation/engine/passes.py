@@ -43,6 +43,12 @@ class Running:
     result: tuple[Tensor, Tensor] | None = None  # images and matrices of a pass
     links: Sequence[Tensor] | None = None  # of a composition
 
+    def parts(self, numbers: Sequence[int]) -> Sequence[Stage]:
+        """Augmentations that are one step by themselves, where one of them removes boxes."""
+        if not any(self.modules[n].removes_boxes for n in numbers):
+            return ()
+        return [Applied(self.modules[n], self.executions[n], self.modules[n].flags) for n in numbers]
+
 
 class Alone(NamedTuple):
     """An augmentation that runs by itself."""
@@ -81,7 +87,7 @@ class Joined(NamedTuple):
         if columns is not None and columns.requires_grad:
             matrix = transform_matrix(as_dtype(columns, compute_dtype(x)), self.chain)
         assert self.resampling is not None
-        return x, Warp(matrix, self.source, self.size, self.resampling)
+        return x, Warp(matrix, self.source, self.size, self.resampling, running.parts(self.geometric))
 
     def drawn_with(self, draws: DrawPlan, planned: Planned) -> DrawnPass:
         return DrawnPass(draws, self.image_pass, planned.shapes[0], planned.dtype)
@@ -98,6 +104,7 @@ class Composition(NamedTuple):
     """Augmentations that are executed by one resampling, some of which have no matrix or blur what becomes smaller."""
 
     links: Sequence[Link]
+    geometric: Sequence[int]  # the augmentations, by their numbers in the run
     source: tuple[int, int]
     size: tuple[int, int]
     resampling: Resampling
@@ -118,7 +125,8 @@ class Composition(NamedTuple):
             links.append(MapLink(module, execution, module.flags))
             if drawn is not None:
                 drawn[i] = where_chosen(execution.chosen, drawn[i], 0.0)
-        composed = Composed(links, self.source, self.size, self.resampling, self.antialias, drawn)
+        parts = running.parts(self.geometric)
+        composed = Composed(links, self.source, self.size, self.resampling, self.antialias, drawn, parts)
         return composed.run(x), composed
 
     def drawn_with(self, draws: DrawPlan, planned: Planned) -> DrawnLinks | None:
@@ -283,7 +291,8 @@ class _Planner:
                 chain = []
         links += [Link(MatrixPlan(chain))] if chain else []
         antialias = any(g.motion.is_antialiased for g in geometric)
-        self.steps.append(Composition(links, *_sizes_and_resampling(geometric), antialias))
+        numbers = [g.number for g in geometric]
+        self.steps.append(Composition(links, numbers, *_sizes_and_resampling(geometric), antialias))
 
     def finish(self, output: Output) -> list[Step]:
         self._flush(output)

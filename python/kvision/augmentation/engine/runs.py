@@ -278,8 +278,8 @@ def _draw_together(before: Child, child: Child) -> bool:
 
 
 def _has_known_size(module: Any) -> bool:
-    """Whether the size of the result is known before the augmentation runs."""
-    return module.has_known_size and not module._is_customized()
+    """Whether the size of the result is known before the augmentation runs, and so are the labels that it reads."""
+    return module.has_known_size and not module.needs_masks and not module._is_customized()
 
 
 def _execute_module(x: Tensor, child: Child, context: CallContext) -> tuple[Tensor, Stage]:

@@ -12,11 +12,14 @@ from torch import Tensor
 from kvision._dtype import compute_dtype
 from kvision.augmentation import maps
 from kvision.augmentation.engine.execution import Execution
-from kvision.augmentation.labels import BoxFilter
+from kvision.augmentation.labels import BoxFilter, is_within
 from kvision.augmentation.maps import warp, warp_labels
 from kvision.augmentation.warp_and_color import Resampling
 from kvision.constants import Resample
 from kvision.geometry.linalg import transform_points
+
+
+_INSIDE = 0.5 - 1e-3  # of a center: not on an edge of the image, where rounding would decide
 
 
 class MaskReading(NamedTuple):
@@ -67,6 +70,11 @@ class Stage:
         """Whether a container inside cuts or removes boxes."""
         return False
 
+    @property
+    def removes_boxes(self) -> bool:
+        """Whether `keeps_centers` removes any."""
+        return False
+
     def concerns_all(self, has_boxes: bool) -> bool:
         """Whether labels follow this stage together, those of different kinds and all samples, and no other stage with it."""
         return False
@@ -90,6 +98,10 @@ class Stage:
     def move_points_back(self, points: Tensor) -> Tensor:
         """Points (B, N, 2) before the stage."""
         return points
+
+    def keeps_centers(self, centers: Tensor) -> Tensor | None:
+        """Which boxes stay, by their centers (B, N, 2) before the stage: bool (B, N), None for all."""
+        return None
 
     def move_masks(self, masks: Tensor, reading: MaskReading) -> Tensor:
         """Masks (B, C, H, W) after the stage."""
@@ -139,6 +151,10 @@ class Chain(Stage):
     def changes_boxes(self) -> bool:
         return any(stage.changes_boxes for stage in self.stages)
 
+    @property
+    def removes_boxes(self) -> bool:
+        return any(stage.removes_boxes for stage in self.stages)
+
     def source_size(self) -> tuple[int, ...] | None:
         sizes = [stage.source_size() for stage in self.stages]
         return next((size for size in sizes if size is not None), None)
@@ -155,6 +171,15 @@ class Chain(Stage):
         for stage in reversed(self.stages):
             points = stage.move_points_back(points)
         return points
+
+    def keeps_centers(self, centers: Tensor) -> Tensor | None:
+        kept: Tensor | None = None
+        for stage in self.stages:
+            own = stage.keeps_centers(centers)
+            if own is not None:
+                kept = own if kept is None else kept & own
+            centers = stage.move_points(centers)
+        return kept
 
     def move_masks(self, masks: Tensor, reading: MaskReading) -> Tensor:
         for stage in self.stages:
@@ -210,9 +235,17 @@ class Warp(Stage):
     source: Sequence[int]
     size: Sequence[int]
     resampling: Resampling
+    parts: Sequence[Stage] = ()  # the augmentations by themselves, where one of them removes boxes
+
+    @property
+    def removes_boxes(self) -> bool:
+        return bool(self.parts)
 
     def source_size(self) -> tuple[int, ...]:
         return tuple(self.source)
+
+    def keeps_centers(self, centers: Tensor) -> Tensor | None:
+        return Chain(self.parts).keeps_centers(centers)
 
     def move_points(self, points: Tensor) -> Tensor:
         return transform_points(self.matrix.to(points), points)
@@ -249,6 +282,10 @@ class Applied(Stage):
     def mixes_samples(self) -> bool:
         return self.module.mixes_samples
 
+    @property
+    def removes_boxes(self) -> bool:
+        return self.module.removes_boxes and self.execution.applied
+
     def concerns_all(self, has_boxes: bool) -> bool:
         return self.module.mixes_samples
 
@@ -264,6 +301,13 @@ class Applied(Stage):
 
     def move_points(self, points: Tensor) -> Tensor:
         return points if self.module.moves_by_map else self.module.transform_points(points, self.execution)
+
+    def keeps_centers(self, centers: Tensor) -> Tensor | None:
+        if not self.removes_boxes:
+            return None
+        size = self.module.output_shape(self.execution.shape, self.flags)[2:]
+        inside = is_within(self.move_points(centers), size, _INSIDE)
+        return inside if self.execution.chosen is None else inside | ~self.execution.chosen.to(inside.device)[:, None]
 
     def move_points_back(self, points: Tensor) -> Tensor:
         return self.module.inverse_points(points, self.execution)
@@ -311,6 +355,11 @@ class Composed(Stage):
     resampling: Resampling
     antialias: bool
     _links: Sequence[Tensor] | None = None  # the tensors of `links`, cached
+    parts: Sequence[Stage] = ()  # the augmentations by themselves, where one of them removes boxes
+
+    @property
+    def removes_boxes(self) -> bool:
+        return bool(self.parts)
 
     def tensors(self, x: Tensor) -> Sequence[Tensor]:
         """The links as matrices (B, 3, 3) and displacements (B, 2, H, W) for images or masks; kept until `forget`."""
@@ -332,6 +381,9 @@ class Composed(Stage):
 
     def source_size(self) -> tuple[int, ...]:
         return tuple(self.source)
+
+    def keeps_centers(self, centers: Tensor) -> Tensor | None:
+        return Chain(self.parts).keeps_centers(centers)
 
     def maps(self) -> list[Tensor | None]:
         return [link.execution.chosen for link in self.links if isinstance(link, MapLink) and link.execution.applied]

@@ -302,6 +302,10 @@ class SomeSamples(Stage):
     def changes_boxes(self) -> bool:
         return self.stage.changes_boxes
 
+    @property
+    def removes_boxes(self) -> bool:
+        return self.stage.removes_boxes
+
     def source_size(self) -> tuple[int, ...] | None:
         return self.size
 
@@ -318,6 +322,13 @@ class SomeSamples(Stage):
 
     def move_points_back(self, points: Tensor) -> Tensor:
         return self._replaced(points, self.stage.move_points_back)
+
+    def keeps_centers(self, centers: Tensor) -> Tensor | None:
+        own = self.stage.keeps_centers(read_rows(centers, self.samples))
+        if own is None:
+            return None
+        everything = torch.ones(centers.shape[:2], dtype=torch.bool, device=own.device)
+        return everything.index_copy(0, _index(self.samples, own), own)
 
     def product(self, matrix: Tensor) -> Tensor:
         return self._replaced(matrix, self.stage.product)

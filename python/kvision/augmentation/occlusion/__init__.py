@@ -2,6 +2,7 @@
 
 from kvision.augmentation.occlusion.grids import GridDropout, GridMask
 from kvision.augmentation.occlusion.holes import CoarseDropout, FrequencyMasking, TimeMasking, XYMasking
+from kvision.augmentation.occlusion.objects import MaskDropout
 from kvision.augmentation.occlusion.pixels import PixelDropout
 
 __all__ = [
@@ -9,6 +10,7 @@ __all__ = [
     "FrequencyMasking",
     "GridDropout",
     "GridMask",
+    "MaskDropout",
     "PixelDropout",
     "TimeMasking",
     "XYMasking",

@@ -1,0 +1,123 @@
+"""Objects that are dropped from images by their masks."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from typing import Any, Literal
+
+import torch
+from torch import Generator, Tensor
+from torch.compiler import is_compiling
+
+from kvision.augmentation import ranges
+from kvision.augmentation.draws import mixed_words
+from kvision.augmentation.engine import Execution, Params
+from kvision.augmentation.keys import Seed
+from kvision.augmentation.labels import masks_as_batch
+from kvision.augmentation.occlusion.dropout_base import DropoutBase
+from kvision.augmentation.random_generator.mapped import MappedGenerator
+from kvision.augmentation.random_generator.occlusion import fill_maps
+from kvision.augmentation.ranges import Numbers
+from kvision.contrib.connected_components import connected_components
+
+
+class MaskDropout(DropoutBase, keeps_contract=True):
+    """Fill random objects of the masks of images with a value, in the images and in the masks, as Albumentations' `MaskDropout`.
+
+    An object is a connected region of one value other than 0 in a mask of one channel, and a channel in a mask of several. Masks
+    are those of an :class:`AugmentationSequential` at this step, the first ones if there are several, or `masks` of a call,
+    (B, C, H, W) or (B, H, W). Boxes and key points stay. In videos each frame has objects of its own.
+
+    Args:
+        max_objects: pair of the lowest and the highest number of objects, of at least 1.
+        fill: the fill value, within 0 and 1: a number, one of each channel, or 'random' for uniform noise.
+        fill_mask: the value of masks where objects were; None leaves masks as they are.
+        same_on_batch: all samples get the same random numbers; their objects differ.
+        p: probability that a sample is augmented.
+        keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
+
+    Raises:
+        TypeError, ValueError: an argument does not have the form in Args, or is out of bounds.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> masks = torch.tensor([[0, 2, 0, 0, 1]]).reshape(1, 1, 1, 5)
+        >>> drop = K.augmentation.MaskDropout((2, 2), p=1.0)
+        >>> drop(torch.ones(1, 1, 1, 5), masks=masks)
+        tensor([[[[1., 0., 1., 1., 0.]]]])
+    """
+
+    reads_labels = "masks"
+    needs_masks = True
+
+    def __init__(
+        self,
+        max_objects: tuple[int, int] = (1, 1),
+        fill: Numbers | Literal["random"] = 0.0,
+        fill_mask: float | None = 0.0,
+        same_on_batch: bool = False,
+        p: float = 0.5,
+        keepdim: bool = False,
+        **options: Any,
+    ) -> None:
+        super().__init__(fill, fill_mask, p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
+        op = "MaskDropout"
+        self.max_objects = ranges.parse_integers(op, "max_objects", max_objects, 1)
+        integers = {"word": (0, 2**24 - 1), "objects": self.max_objects}  # exact in float32
+        self._param_generator = MappedGenerator(integers=integers, maps=fill_maps(self.fill), op=op)
+
+    def is_dropped(self, params: Params, shape: tuple[int, ...], device: torch.device) -> Tensor:
+        dropped: Tensor = params["dropped"].to(device)
+        return dropped
+
+    def _draw_and_run(
+        self, x: Tensor, seed: Seed, generator: Generator | None, flags: dict[str, Any], labels: Any = None
+    ) -> tuple[Tensor, Execution]:
+        execution = self._draw(x, seed, generator)
+        if execution.applied:
+            params = dict(self._params_on_device(x, execution))
+            if labels is None and not is_compiling():
+                warnings.warn(
+                    "MaskDropout: this call has no masks, so that nothing is dropped: pass `masks=`, or in an "
+                    "AugmentationSequential the data key 'mask'",
+                    stacklevel=2,
+                )
+            params["dropped"] = self._dropped(params, labels, x)
+            params["batch_prob"] = x.new_ones(len(x)) if execution.chosen is None else execution.chosen.to(x.device)
+            execution = self._from_params(params, x)
+        self.__dict__["_execution"] = execution
+        return self._run(x, execution, flags), execution
+
+    def _run_with_masks(
+        self, x: Tensor, masks: Any, params: Params | None, seed: Seed, generator: Generator | None
+    ) -> tuple[Tensor, Execution]:
+        if params is None:
+            labels = None if masks is None else [masks_as_batch(masks, tuple(x.shape))]
+            return self._draw_and_run(x, seed, generator, self.flags, labels)
+        execution = self.__dict__["_execution"] = self._from_params(params, x)
+        return self._run(x, execution, self.flags), execution
+
+    def _dropped(self, params: Params, labels: Sequence[Tensor] | None, x: Tensor) -> Tensor:
+        """The pixels (B, 1, H, W) of the objects that are dropped.
+
+        Every object has a random rank, that of its pixels; those of the highest ranks are dropped, without a loop over all.
+        """
+        dropped = torch.zeros((len(x), 1, *x.shape[-2:]), dtype=torch.bool, device=x.device)
+        if labels is None or 0 in labels[0].shape:
+            return dropped
+        masks = labels[0].to(x.device)
+        is_inside = masks != 0
+        if masks.shape[1] == 1:
+            values = masks.float().view(torch.int32) if masks.is_floating_point() else masks
+            objects = connected_components(is_inside.float()) + mixed_words(values.long())
+        else:
+            objects = torch.arange(masks.shape[1], device=x.device)[:, None, None]
+        word, count = (params[name].long()[:, None, None, None] for name in ("word", "objects"))
+        rank = torch.where(is_inside, mixed_words(objects ^ mixed_words(word)), -1)
+        for i in range(self.max_objects[1]):
+            best = rank.amax((1, 2, 3), keepdim=True)
+            is_hit = (rank == best) & (best >= 0) & (i < count)
+            dropped = dropped | is_hit.any(1, keepdim=True)
+            rank = torch.where(is_hit, -1, rank)
+        return dropped

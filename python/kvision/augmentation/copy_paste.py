@@ -118,14 +118,18 @@ class RandomCopyPaste(MaskMixBase):
         visible = inside & ~pasted
         before, after = (x.flatten(2).sum(2, dtype=torch.int32) for x in (inside, visible))
         is_left = (after > 0) & (after >= self.min_visibility * before)
-        boxes = geometry.masks_to_boxes(visible, "xyxy") if visible.numel() else torch.zeros(*shape[:2], 4)
+        boxes = (
+            geometry.masks_to_boxes(visible, "xyxy")
+            if visible.numel()
+            else torch.zeros(*shape[:2], 4, device=masks.device)
+        )
         execution.params = {
             "selected": selected,  # of the donor
             "pasted": pasted,
             "kept": is_left | (before == 0),  # of those of the image; what has no pixels stays
             "is_cut": after < before,
             "boxes": boxes,  # around what is left
-            "batch_prob": torch.full((shape[0],), float(applied))
+            "batch_prob": torch.full((shape[0],), float(applied), device="cpu")
             if columns is None or columns.chosen is None
             else columns.chosen,
             "forward_input_shape": torch.tensor(shape, device="cpu"),

@@ -18,7 +18,6 @@ from kvision.augmentation.warp_and_color import Resampling
 from kvision.constants import Resample
 from kvision.geometry.linalg import transform_points
 
-
 _INSIDE = 0.5 - 1e-3  # of a center: not on an edge of the image, where rounding would decide
 
 

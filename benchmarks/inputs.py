@@ -122,20 +122,29 @@ def jpegs(setup: Setup) -> list[bytes]:
     return [encoded("picture.jpg", image, 85) for image in setup.images(setup.count, 280, 700)]
 
 
-def rate(call: Callable[[], Any], images: int, device: torch.device) -> float:
-    """Images a second, the median of five runs by the clock on the wall."""
-    seconds = []
+def rates(calls: Sequence[Callable[[int], Any]], batches: int, images: int, device: torch.device) -> list[float]:
+    """Images a second of calls on so many batches, the medians of five rounds in which they take turns."""
+    seconds: list[list[float]] = [[] for _ in calls]
     for _ in range(6):
-        begin = time.perf_counter()
+        for call, own in zip(calls, seconds):
+            begin = time.perf_counter()
+            call(batches)
+            if device.type == "cuda":
+                torch.cuda.synchronize()
+            own.append(time.perf_counter() - begin)
+    return [batches * images / statistics.median(own[1:]) for own in seconds]
+
+
+def repeated(call: Callable[[], Any], batches: int) -> None:
+    for _ in range(batches):
         call()
-        if device.type == "cuda":
-            torch.cuda.synchronize()
-        seconds.append(time.perf_counter() - begin)
-    return images / statistics.median(seconds[1:])
 
 
 def ahead(
-    decode: Callable[[], list[Tensor]], use: Callable[[list[Tensor]], Any], batches: int, device: torch.device
+    decode: Callable[[], list[Tensor]],
+    use: Callable[[list[Tensor]], Any],
+    device: torch.device,
+    batches: int,
 ) -> None:
     """Use batches while two threads decode the next ones, on a stream of each."""
     streams = [torch.cuda.Stream() for _ in range(2)] if device.type == "cuda" else [None, None]
@@ -161,7 +170,8 @@ def ahead(
 
 
 def of_bytes(setup: Setup) -> Iterator[Figure]:
-    files, batches, augment = jpegs(setup), 4 if setup.is_cuda else 2, augmentation()
+    """The pipeline and the decoder alone take turns; of many batches, because nothing is decoded while the last one is used."""
+    files, augment = jpegs(setup), augmentation()
     for backend in decoding._DECODERS:
         if isinstance(decoding._made(backend), Exception):
             continue
@@ -169,14 +179,16 @@ def of_bytes(setup: Setup) -> Iterator[Figure]:
         def decode(name: str = backend) -> list[Tensor]:
             return K.io.decode(files, setup.device, backend=name)
 
-        alone = rate(decode, len(files), setup.device)
-        yield Figure("bytes", f"io.decode by {backend}", alone, "images/s")
+        calls = [partial(repeated, decode), partial(ahead, decode, augment, setup.device)]
+        names = [f"io.decode by {backend}", f"{backend}, crop, flip, jitter, normalize"]
         if backend in ("torchcodec", "torchvision"):
-            by_itself = rate(decode_jpeg(backend, files, setup.device), len(files), setup.device)
-            yield Figure("bytes", f"decode_jpeg of {backend} by itself", by_itself, "images/s")
-            alone = max(alone, by_itself)
-        pipeline = rate(lambda: ahead(decode, augment, batches, setup.device), batches * len(files), setup.device)
-        yield Figure("bytes", f"{backend}, crop, flip, jitter, normalize", pipeline, "images/s")
+            calls.append(partial(repeated, decode_jpeg(backend, files, setup.device)))
+            names.append(f"decode_jpeg of {backend} by itself")
+        batches = 24 if setup.is_cuda and backend != "opencv" else 2
+        measured = rates(calls, batches, len(files), setup.device)
+        for name, own in zip(names, measured):
+            yield Figure("bytes", name, own, "images/s")
+        pipeline, alone = measured[1], max(measured[0], measured[-1] if len(measured) > 2 else 0)
         yield Figure(
             "bytes",
             f"{backend}, pipeline over decoder alone",
@@ -207,15 +219,25 @@ def of_lists(setup: Setup) -> Iterator[Figure]:
     batch = torch.stack([F.interpolate(image[None], (side, side))[0] for image in images])
     for antialias in (False, True):
         name, augment = "128, antialiased" if antialias else "128", augmentation(antialias)
-        calls = [partial(augment, images), partial(augment, batch), partial(one_by_one, augment, images)]
-        of_list, of_batch, of_loop = setup.seconds_of(calls)
+        calls: list[Callable[[], Any]] = [partial(augment, images), partial(augment, batch)]
+        calls.append(partial(one_by_one, augment, images))
+        peer = torchvision_v2(images, antialias)
+        of_list, of_batch, of_loop, *of_peer = setup.seconds_of(calls + ([peer] if peer else []))
         yield Figure("lists", f"crop, flip, jitter, normalize of {name}", 1e3 * of_list, "ms")
         yield Figure("lists", f"{name}, over a batch of as many pixels", of_list / of_batch, "", 1.25)
         yield Figure("lists", f"{name}, loop over single images", 1e3 * of_loop, "ms")
+        for seconds in of_peer:
+            yield Figure("lists", f"{name}, torchvision v2", 1e3 * seconds, "ms")
         yield Figure("lists", f"{name}, host", microseconds(calls[0]), "us", 200)
         yield Figure("lists", f"{name}, launches", launches(calls[0]), "", 3 if antialias else 2)
         yield Figure("lists", f"{name}, memory beyond the result", extra_bytes(calls[0]), "bytes", 65536)
     leaves = [(image / 255).requires_grad_() for image in images]
+    wanted, nothing = microseconds(partial(augmentation(), leaves)), microseconds(lambda: Nothing.apply(*leaves))
+    yield Figure(
+        "lists", "128 that want gradients, host, less a function's that does nothing", wanted - nothing, "us", 200
+    )
+    to_side = microseconds(lambda: K.geometry.resize(images, CROP[0]))
+    yield Figure("lists", "resize of 128 to a list by the short side, host", to_side, "us", 200 + 2.5 * 128)
 
     def both() -> Any:
         return torch.autograd.grad(K.geometry.resize(leaves, CROP).sum(), leaves)
@@ -223,6 +245,18 @@ def of_lists(setup: Setup) -> Iterator[Figure]:
     (seconds,) = setup.seconds_of([both])
     moved = 2 * 4 * (sum(image.numel() for image in images) + 128 * 3 * CROP[0] * CROP[1])
     yield Figure("lists", "resize of 128, float32, and its gradients", seconds * setup.bandwidth / moved, "floors", 2.5)
+
+
+class Nothing(torch.autograd.Function):
+    """A function of many tensors that does nothing."""
+
+    @staticmethod
+    def forward(ctx: Any, *tensors: Tensor) -> Tensor:
+        return tensors[0].new_empty(1)
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Tensor) -> Any:
+        raise NotImplementedError
 
 
 def of_lists_on_cpu(setup: Setup) -> Iterator[Figure]:
@@ -234,6 +268,23 @@ def of_lists_on_cpu(setup: Setup) -> Iterator[Figure]:
         of_list, of_loop = setup.seconds_of([partial(resize, images), partial(one_by_one, resize, images)])
         yield Figure("lists", f"resize of {name}", 1e3 * of_list, "ms")
         yield Figure("lists", f"resize of {name}, loop over single images, over that", of_loop / of_list, "", bar, True)
+
+
+def torchvision_v2(images: list[Tensor], antialias: bool) -> Callable[[], Tensor] | None:
+    """The same pipeline image by image, as torchvision takes images of different sizes; None where it is not installed."""
+    v2: Any = optional("torchvision.transforms.v2")
+    if v2 is None:
+        return None
+    transform = v2.Compose(
+        [
+            v2.RandomResizedCrop(CROP, antialias=antialias),
+            v2.RandomHorizontalFlip(),
+            v2.ColorJitter(*JITTER),
+            v2.ToDtype(torch.float16, scale=True),
+            v2.Normalize(MEAN, STD),
+        ]
+    )
+    return lambda: torch.stack([transform(image) for image in images])
 
 
 def one_by_one(call: Callable[[Tensor], Tensor], images: list[Tensor]) -> Tensor:

@@ -18,15 +18,20 @@ inline Tensor as_batch(Tensor const& x) {
 inline void check_image_list(char const* op, char const* name, Tensors const& images) {
   KV_CHECK(!images.empty(), op, ": expected ", name, " with at least one image");
   Tensor const& first = images[0];
-  for (Tensor const& x : images)
-    KV_CHECK(x.dim() == 3 && x.size(0) == first.size(0) && x.scalar_type() == first.scalar_type() &&
-                 x.device() == first.device() && x.size(1) > 0 && x.size(2) > 0 && x.size(1) <= INT32_MAX &&
-                 x.size(2) <= INT32_MAX,
+  ScalarType const type = first.scalar_type();
+  auto const device = first.device();
+  int64_t const channels = first.dim() > 0 ? first.size(0) : 0;
+  for (Tensor const& x : images) {
+    auto const sizes = x.sizes();
+    KV_CHECK(sizes.size() == 3 && sizes[0] == channels && x.scalar_type() == type && x.device() == device &&
+                 sizes[1] > 0 && sizes[2] > 0 && sizes[1] <= INT32_MAX && sizes[2] <= INT32_MAX,
              op, ": expected ", name, " of shape (C, H, W), with pixels, of one type, device and number of channels");
+  }
 }
 
 inline ListedImage listed(Tensor const& x) {
-  return {x.const_data_ptr(), x.stride(0), x.stride(1), x.stride(2), int(x.size(1)), int(x.size(2))};
+  auto const sizes = x.sizes(), strides = x.strides();
+  return {x.const_data_ptr(), strides[0], strides[1], strides[2], int(sizes[1]), int(sizes[2])};
 }
 
 }  // namespace kv

@@ -21,12 +21,14 @@ from kvision._torch_compat import (
     below_autograd,
     carry_tangents,
     find_operator,
+    function_caller,
     in_derivative_transform,
     in_forward_ad,
     in_function_transform,
     is_tracing,
     kernel_caller,
     schema_of,
+    unwrap_dead_wrappers,
 )
 
 Results = Sequence[Tensor]
@@ -76,6 +78,7 @@ class ListOperator:
             torch.library.register_vmap(qualified, self._refuse_vmap)
             library.impl(name, self._differentiate, "Autograd")
         self._function = self._make_function()
+        self._apply = function_caller(self._function)
 
     def __call__(self, images: Sequence[Tensor], *args: Any) -> Results:
         x = images[0]
@@ -85,8 +88,10 @@ class ListOperator:
             return self.reference(images, *args)
         if is_compiling() or is_tracing():
             return self._call_traced(images, args)
-        if in_function_transform() or self._wants_gradient(images, args):
+        if in_function_transform():
             return self._function.apply(len(images), *images, *args)
+        if self._wants_gradient(images, args):
+            return self._apply(len(images), *images, *args)
         if in_forward_ad() and carry_tangents(*images, *args[: self.tensors]):
             raise self._no_forward_mode()
         with below_autograd():
@@ -108,7 +113,7 @@ class ListOperator:
     def _differentiate(self, images: Sequence[Tensor], *args: Any) -> Results:
         """The operator where torch differentiates: in graphs, and in calls of torch.ops.kvision."""
         if self._wants_gradient(images, args):
-            return list(self._function.apply(len(images), *images, *args))
+            return list(self._apply(len(images), *images, *args))
         with below_autograd():
             return self._call_kernel(images, *args)
 
@@ -128,7 +133,9 @@ class ListOperator:
             ctx.backend = current_backend() if _backend.ask_backend else None
 
         def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
-            count, saved = ctx.count, ctx.saved_tensors
+            # What torch.func.vjp wrapped hides, once vjp has returned, that a tensor requires a gradient.
+            grads, saved = unwrap_dead_wrappers(grads), unwrap_dead_wrappers(ctx.saved_tensors)
+            count = ctx.count
             end = count + operator.tensors
             needs = ctx.needs_input_grad[1:]
             needed = (any(needs[:count]), *needs[count:end])

@@ -319,7 +319,7 @@ def smallest(*sizes: int) -> int:
 
 
 def _are_ints(sizes: tuple[int, ...]) -> bool:
-    return all(type(size) is int for size in sizes)
+    return {*map(type, sizes)} == {int}
 
 
 def schema_of(operator: OpOverload) -> Any:

@@ -45,7 +45,12 @@ def _classify(cls: type) -> str:
 
 
 def wrap(output: Any, like: Any, **changed: Any) -> Any:
-    """A plain tensor as a tv_tensor of the class of `like`, with its format and canvas but for what is `changed`."""
+    """A plain tensor as a tv_tensor of the class of `like`, with its format and canvas but for what is `changed`.
+
+    Of a list each; a batch that a list became is of the class of its first image.
+    """
+    if isinstance(like, list):
+        return [wrap(*pair) for pair in zip(output, like)] if isinstance(output, list) else wrap(output, like[0])
     kind = kind_of(like)
     if kind not in TV_TENSORS:
         return output

@@ -92,3 +92,31 @@ def test_what_would_be_wrong_is_refused() -> None:
         augment(image, target["boxes"], data_keys=["input", "bbox_xywh"])
     with pytest.raises(ValueError, match="expected an image"):
         augment(target["boxes"], target["masks"])
+
+
+def test_lists_of_images_of_different_sizes() -> None:
+    """Each image and its labels are of their classes, and a batch that they become is of that of the first image."""
+    images = [tv_tensors.Image(torch.rand(3, 8, 10)), tv_tensors.Image(torch.rand(3, 6, 7))]
+    boxes = [
+        tv_tensors.BoundingBoxes(torch.rand(n, 4), format="XYXY", canvas_size=tuple(image.shape[1:]))
+        for n, image in zip((2, 0), images)
+    ]
+    masks = [tv_tensors.Mask(torch.randint(0, 4, (n, *image.shape[1:]))) for n, image in zip((1, 3), images)]
+    flip = K.augmentation.RandomHorizontalFlip(p=1.0)
+    for augment in (flip, K.augmentation.ImageSequential(flip)):
+        results = augment(images)
+        assert all(type(y) is tv_tensors.Image and torch.equal(y, x.flip(-1)) for x, y in zip(images, results))
+    crop = K.augmentation.RandomResizedCrop((4, 5))
+    for augment in (crop, K.augmentation.ImageSequential(crop)):
+        assert type(augment(images)) is tv_tensors.Image
+    keys = ["input", "bbox_xyxy", "mask"]
+    augment = K.augmentation.AugmentationSequential(flip, data_keys=keys)
+    for y, of_boxes, of_masks, x, before in zip(*augment(images, boxes, masks), images, boxes):
+        assert_same(y, tv_tensors.Image(x.flip(-1)))
+        assert type(of_masks) is tv_tensors.Mask and type(of_boxes) is tv_tensors.BoundingBoxes
+        assert of_boxes.shape == before.shape and of_boxes.canvas_size == tuple(x.shape[1:])
+    y, of_boxes, _ = K.augmentation.AugmentationSequential(crop, data_keys=keys)(images, boxes, masks)
+    assert type(y) is tv_tensors.Image and [b.canvas_size for b in of_boxes] == [(4, 5)] * 2
+    boxes[1] = tv_tensors.BoundingBoxes(torch.rand(1, 4), format="XYXY", canvas_size=(8, 10))
+    with pytest.raises(ValueError, match=r"canvas_size of the image, \(6, 7\), got \(8, 10\)"):
+        augment(images, boxes, masks)

@@ -6,6 +6,7 @@ Nothing here knows how an augmentation is executed.
 from __future__ import annotations
 
 import os
+import sys
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple, get_args
@@ -19,6 +20,7 @@ from kvision._tv_tensors import TV_TENSORS, kind_of, plain
 from kvision.augmentation.labels import BOX_FORMATS
 from kvision.constants import DataKey
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
+from kvision.geometry.transform.lists.arguments import ImageList, check_list
 
 WIDE_INTEGERS = (torch.int16, torch.uint16)  # whose values float32 holds
 OUTPUT_TYPES = get_args(OutputType)
@@ -35,8 +37,8 @@ def image_and_matrix(module: Any, input: Any) -> tuple[Any, Tensor | None]:
         return input, None
     if isinstance(input, tuple) and len(input) == 2 and all(isinstance(x, Tensor) for x in input):
         return input[0], input[1]
-    if is_image_list(module, input):
-        return input, None
+    if _may_be_image_list(module, input):
+        return check_list(type(module).__name__, "input", input), None
     if isinstance(input, (list, tuple)):
         described = _check.described(input)
         got = described if " of " in described else f"a {described} of {len(input)}"
@@ -49,8 +51,17 @@ def image_and_matrix(module: Any, input: Any) -> tuple[Any, Tensor | None]:
 
 
 def plain_image(module: Any, x: Any) -> Any:
-    """An image of torchvision's class, or a video of a module that takes these, as a plain tensor; others as they are."""
-    if type(x) is Tensor or (kind := kind_of(x)) not in TV_TENSORS:
+    """An image of torchvision's class, or a video of a module that takes these, as a plain tensor, alone or in a list; others as
+    they are.
+    """
+    if type(x) is Tensor:
+        return x
+    if isinstance(x, list):
+        if "torchvision.tv_tensors" not in sys.modules:
+            return x
+        own = [plain_image(module, item) for item in x] if {*map(type, x)} != {Tensor} else x
+        return ImageList(own, x.heights, x.widths) if own is not x and isinstance(x, ImageList) else own
+    if (kind := kind_of(x)) not in TV_TENSORS:
         return x
     op, name = type(module).__name__, type(x).__name__
     if kind == "video" and not any(hasattr(m, "data_format") for m in module.modules()):
@@ -66,11 +77,16 @@ def plain_image(module: Any, x: Any) -> Any:
 
 def is_image_list(module: Any, input: Any) -> bool:
     """Whether an input is a list of images (C, H, W), for a container that takes them."""
-    if not isinstance(input, list) or not getattr(module, "takes_lists", False):
+    if type(input) is ImageList or not _may_be_image_list(module, input):
+        return type(input) is ImageList
+    return all(isinstance(x, Tensor) and x.ndim == 3 for x in input)
+
+
+def _may_be_image_list(module: Any, input: Any) -> bool:
+    """The same by the first image alone; `check_list` says then which of the others is none."""
+    if not isinstance(input, list) or not input or not getattr(module, "takes_lists", False):
         return False
-    if not input or ({*map(type, input)} != {Tensor} and not all(isinstance(x, Tensor) for x in input)):
-        return False
-    return {x.ndim for x in input} == {3}
+    return isinstance(input[0], Tensor) and input[0].ndim == 3
 
 
 def check_image(module: Any, x: Any) -> None:

@@ -47,7 +47,10 @@ class Sample(NamedTuple):
 def holds_tv_tensors(values: Sequence[Any]) -> bool:
     if "torchvision.tv_tensors" not in sys.modules:
         return False
-    return any(type(x) is not Tensor and kind_of(x) in TV_TENSORS for x in values)
+    return any(
+        type(x) is not Tensor and (holds_tv_tensors(x) if isinstance(x, list) else kind_of(x) in TV_TENSORS)
+        for x in values
+    )
 
 
 def sample_of(op: str, args: Sequence[Any], named: Any) -> Sample | None:
@@ -83,21 +86,42 @@ def as_tensors(
     module: Any, keys: list[DataKey], values: Sequence[Any], by_class: bool
 ) -> tuple[list[DataKey], list[Any]]:
     """Plain tensors in place of tv_tensors, with the keys of boxes by their format."""
-    op = type(module).__name__
-    size = next((v.shape[-2:] for k, v in zip(keys, values) if k == DataKey.INPUT and isinstance(v, Tensor)), None)
+    op, images = type(module).__name__, _images(keys, values)
     new_keys, tensors = list(keys), list(values)
     for i, (key, value) in enumerate(zip(keys, values)):
-        kind = kind_of(value)
         if key == DataKey.INPUT:
             tensors[i] = plain_image(module, value)
-        elif kind in TV_TENSORS:
-            canvas = getattr(value, "canvas_size", None)
-            if canvas is not None and size is not None and tuple(canvas) != tuple(size):
-                raise ValueCheckError(f"{op}: expected a canvas_size of the image, {tuple(size)}, got {tuple(canvas)}")
-            tensors[i] = plain(value)
-            if kind == "boxes":
-                new_keys[i], tensors[i] = _boxes(op, key, value, by_class)
+        elif not isinstance(value, list):
+            new_keys[i], tensors[i] = _as_tensor(op, key, value, _size_of(images), by_class)
+        elif holds_tv_tensors(value):
+            each = [_as_tensor(op, key, x, _size_of(images, b), by_class) for b, x in enumerate(value)]
+            tensors[i], formats = [x for _, x in each], {own for own, _ in each}
+            if len(formats) > 1:
+                names = sorted(own.name.lower() for own in formats)
+                raise ValueCheckError(f"{op}: expected boxes of one format in a list, got {', '.join(names)}")
+            (new_keys[i],) = formats
     return new_keys, tensors
+
+
+def _as_tensor(op: str, key: DataKey, value: Any, size: Any, by_class: bool) -> tuple[DataKey, Any]:
+    """A label of an image of this size as a plain tensor, and its key."""
+    kind = kind_of(value)
+    if kind not in TV_TENSORS:
+        return key, value
+    canvas = getattr(value, "canvas_size", None)
+    if canvas is not None and size is not None and tuple(canvas) != size:
+        raise ValueCheckError(f"{op}: expected a canvas_size of the image, {size}, got {tuple(canvas)}")
+    return _boxes(op, key, value, by_class) if kind == "boxes" else (key, plain(value))
+
+
+def _images(keys: Sequence[DataKey], values: Sequence[Any]) -> Any:
+    return next((v for k, v in zip(keys, values) if k == DataKey.INPUT), None)
+
+
+def _size_of(images: Any, b: int | None = None) -> tuple[int, ...] | None:
+    """Height and width of the images of a batch, or of image b of a list; None where they are none of both."""
+    one = images[b] if b is not None and isinstance(images, list) and b < len(images) else images
+    return tuple(one.shape[-2:]) if isinstance(one, Tensor) else None
 
 
 def _boxes(op: str, key: DataKey, boxes: Any, by_class: bool) -> tuple[DataKey, Tensor]:
@@ -117,18 +141,26 @@ def _boxes(op: str, key: DataKey, boxes: Any, by_class: bool) -> tuple[DataKey, 
 
 def as_given(outputs: Sequence[Any], values: Sequence[Any], keys: Sequence[DataKey]) -> list[Any]:
     """Results as the classes of tv_tensors that the inputs had, with the format of boxes and the size of the results."""
-    size = next((y.shape[-2:] for k, y in zip(keys, outputs) if k == DataKey.INPUT and isinstance(y, Tensor)), None)
-    results = []
+    images, results = _images(keys, outputs), []
     for output, value in zip(outputs, values):
-        kind = kind_of(value)
-        if kind not in TV_TENSORS or not isinstance(output, Tensor):
-            results.append(output)
-            continue
-        if kind == "boxes" and value.format.name == "CXCYWH":
-            low, high = output[..., :2], output[..., 2:]
-            output = torch.cat([(low + high) / 2, high - low], -1)
-        if kind in ("boxes", "points") and not value.is_floating_point():
-            output = output.round().to(value.dtype)
-        changed = {"canvas_size": tuple(size)} if kind in ("boxes", "points") and size is not None else {}
-        results.append(wrap(output, value, **changed))
+        if isinstance(value, list) and isinstance(output, (list, tuple)) and holds_tv_tensors(value):
+            results.append([_as_given(y, x, _size_of(images, b)) for b, (y, x) in enumerate(zip(output, value))])
+        else:
+            results.append(_as_given(output, value, _size_of(images)))
     return results
+
+
+def _as_given(output: Any, value: Any, size: tuple[int, ...] | None) -> Any:
+    """A result as the class of the tv_tensor that the input was, beside a resulting image of this size."""
+    if isinstance(value, list) and isinstance(output, Tensor) and holds_tv_tensors(value):
+        value = value[0]  # of a list that became a batch
+    kind = kind_of(value)
+    if kind not in TV_TENSORS or not isinstance(output, Tensor):
+        return output
+    if kind == "boxes" and value.format.name == "CXCYWH":
+        low, high = output[..., :2], output[..., 2:]
+        output = torch.cat([(low + high) / 2, high - low], -1)
+    if kind in ("boxes", "points") and not value.is_floating_point():
+        output = output.round().to(value.dtype)
+    changed = {"canvas_size": size} if kind in ("boxes", "points") and size is not None else {}
+    return wrap(output, value, **changed)

@@ -221,6 +221,12 @@ def test_five_and_ten_crops_are_torchvisions(device: torch.device) -> None:
     assert all(torch.equal(a, b) for a, b in zip(mirrored, A.FiveCrop((2, 3))(x.flip(-1))))
     with pytest.raises(ValueError, match="FiveCrop: expected images of at least"):
         A.FiveCrop(6)(x)
+    images = [x[0], whole(7, 9, device)[0]]
+    for crop in (A.FiveCrop((2, 3)), A.TenCrop((2, 3))):
+        each = [torch.stack(windows) for windows in zip(*map(crop, images))]
+        assert all(torch.equal(a, b) for a, b in zip(crop(images), each, strict=True))
+    with pytest.raises(ValueError, match="TenCrop: expected input with at least one image"):
+        A.TenCrop(2)([])
 
 
 @pytest.mark.parametrize("antialias", [False, True])

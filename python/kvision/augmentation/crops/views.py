@@ -11,6 +11,7 @@ from kvision.augmentation.inputs import parse_size
 from kvision.augmentation.random_generator.crop import ResizedCropGenerator
 from kvision.augmentation.ranges import Numbers
 from kvision.core.exceptions import ValueCheckError
+from kvision.geometry.transform.lists.arguments import check_list
 
 __all__ = ["FiveCrop", "MultiCrop", "TenCrop"]
 
@@ -41,9 +42,15 @@ class FiveCrop(nn.Module):
     def extra_repr(self) -> str:
         return f"size={self.size}"
 
-    def forward(self, input: Tensor) -> tuple[Tensor, ...]:
-        """The windows of images (*, H, W): upper left, upper right, lower left, lower right, middle."""
+    def forward(self, input: Tensor | list[Tensor]) -> tuple[Tensor, ...]:
+        """The windows of images (*, H, W): upper left, upper right, lower left, lower right, middle.
+
+        Of a list of images (C, H, W) of different sizes each window is a batch (B, C, h, w), which is copied.
+        """
         op, (h, w) = type(self).__name__, self.size
+        if isinstance(input, list):
+            each = [self(image) for image in check_list(op, "input", input)]
+            return tuple(torch.stack(windows) for windows in zip(*each))
         _check.trailing_shape(op, "input", input, "H", "W")
         down, right = input.shape[-2] - h, input.shape[-1] - w
         if down < 0 or right < 0:
@@ -76,8 +83,10 @@ class TenCrop(FiveCrop):
     def extra_repr(self) -> str:
         return f"{super().extra_repr()}, vertical_flip={self.vertical_flip}"
 
-    def forward(self, input: Tensor) -> tuple[Tensor, ...]:
-        """The windows of images (*, H, W), and those of the mirror images in the same order."""
+    def forward(self, input: Tensor | list[Tensor]) -> tuple[Tensor, ...]:
+        """The windows of images (*, H, W), and those of the mirror images in the same order; of a list as batches."""
+        if isinstance(input, list):
+            return super().forward(input)
         windows = super().forward(input)
         return (*windows, *super().forward(input.flip(-2 if self.vertical_flip else -1)))
 

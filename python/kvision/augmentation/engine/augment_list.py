@@ -46,7 +46,7 @@ def augment_list(
 ) -> tuple[Any, Execution]:
     """What an augmentation makes of images (C, H, W), a batch or a list, and the execution."""
     op, count = type(module).__name__, len(images)
-    check_list(op, "input", images)
+    images = check_list(op, "input", images)
     check_image(module, images[0])
     if images[0].dtype in WIDE_INTEGERS:
         raise TypeCheckError(f"{op}: expected a list of images of bytes or floats, got {images[0].dtype}")

@@ -107,9 +107,7 @@ class AugmentationBase(Executor, keeps_contract=True):
         """
         given, before = image_and_matrix(self, input)
         if isinstance(given, list):
-            return self._call_on_list(
-                [plain_image(self, x) for x in given], params, seed, generator, return_transform, kwargs
-            )
+            return self._call_on_list(given, params, seed, generator, return_transform, kwargs)
         image = plain_image(self, given)
         x = self.transform_tensor(image)
         if before is not None:
@@ -131,7 +129,7 @@ class AugmentationBase(Executor, keeps_contract=True):
 
     def _call_on_list(
         self,
-        images: list[Tensor],
+        given: list[Tensor],
         params: Params | None,
         seed: Seed,
         generator: Generator | None,
@@ -140,8 +138,10 @@ class AugmentationBase(Executor, keeps_contract=True):
     ) -> Any:
         """Augment a list of images (C, H, W)."""
         labels = None if self.reads_labels is None else kwargs.pop(self.reads_labels, None)
+        images = plain_image(self, given)
         y, execution = augment_list(self, images, params, seed, generator, self._flags_of(kwargs), labels)
         self._execution = execution
+        y = y if images is given else wrap(y, given)
         returns = self.return_transform if return_transform is None else return_transform
         return with_matrix(y, None, self._matrix(execution).to(images[0].device) if returns else None)
 

@@ -424,13 +424,13 @@ class ImageSequential(ImageSequentialBase):
     def transform_tensor(self, input: Tensor) -> Tensor:
         """The input as a batch, lists as they are: (H, W) and (C, H, W) become (1, C, H, W); integers of 16 bits become float32."""
         if is_image_list(self, input):
-            check_list(type(self).__name__, "input", input)
-            check_image(self, input[0])
-            if input[0].dtype in WIDE_INTEGERS:
+            images: Any = check_list(type(self).__name__, "input", input)
+            check_image(self, images[0])
+            if images[0].dtype in WIDE_INTEGERS:
                 raise TypeCheckError(
-                    f"{type(self).__name__}: expected a list of images of bytes or floats, got {input[0].dtype}"
+                    f"{type(self).__name__}: expected a list of images of bytes or floats, got {images[0].dtype}"
                 )
-            return input
+            return images
         check_image(self, input)
         axes: int | None = self._plans.get("axes")
         if axes is None:

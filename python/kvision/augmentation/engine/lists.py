@@ -18,7 +18,7 @@ from kvision.augmentation import labels
 from kvision.augmentation.columns import Column, Columns, Span
 from kvision.augmentation.draws import SIZED, Request, draw_list_parameters, make_plan
 from kvision.augmentation.engine.call_labels import CallLabels
-from kvision.augmentation.engine.execution import Execution, matrix_type
+from kvision.augmentation.engine.execution import Execution, Shape, matrix_type
 from kvision.augmentation.engine.list_calls import SIZES
 from kvision.augmentation.engine.record import Child
 from kvision.augmentation.engine.stages import Applied, MaskReading, Warp
@@ -26,7 +26,8 @@ from kvision.augmentation.keys import Keys
 from kvision.augmentation.maps import exact, warp_each
 from kvision.augmentation.transforms import Transform, transform_matrix
 from kvision.core.exceptions import ShapeError
-from kvision.geometry.transform.lists.arguments import like_batch
+from kvision.geometry.transform.lists.arguments import largest_shape, like_batch
+from kvision.geometry.transform.lists.arguments import sizes as sides_of
 
 
 class ListPlan(NamedTuple):
@@ -138,16 +139,16 @@ class ListExecution(Execution):
     _matrix: Tensor | None = None
     _find_matrix: Callable[[], Tensor] | None = None
 
-    def __init__(self, count: tuple[int, int], sizes: Sequence[int], module: Any, values: Tensor) -> None:
-        self._sizes, self._module, self._values = sizes, module, values
+    def __init__(self, shape: Shape, sizes: Sequence[int], module: Any, columns: Columns) -> None:
+        self._sizes, self._module, self._own = sizes, module, columns
         self._named: dict[str, Any] | None = None
-        super().__init__((*count, max(sizes[::2]), max(sizes[1::2])))
+        super().__init__(shape)
 
     @property
     def params(self) -> Any:
         if self._named is None:
             generator, count = self._module._param_generator, self.shape[0]
-            values, each = self._values.detach().cpu(), []
+            values, each = self._own.values.detach().cpu(), []
             for b in range(count) if generator is not None else ():
                 each.append(generator.to_params(values[b : b + 1], (1, self.shape[1], *self._sizes[2 * b : 2 * b + 2])))
             self._named = {name: torch.cat([params[name] for params in each]) for name in (each[0] if each else ())}
@@ -180,13 +181,13 @@ class ListImages:
         plan = list_plan(module)
         assert plan is not None
         self.plan, self.module = plan, module
-        self.sizes = [x.shape for x in images]
-        self.sides = [side for _, h, w in self.sizes for side in (h, w)]
+        self.images, self.sides = images, sides_of(images)
 
     @property
     def shapes(self) -> list[tuple[int, ...]]:
         """(B, C, H, W) with the size of each image."""
-        return [(len(self.sizes), *size) for size in self.sizes]
+        count, channels = len(self.images), self.images[0].shape[0]
+        return [(count, channels, h, w) for h, w in zip(self.sides[::2], self.sides[1::2])]
 
     @property
     def only_windows_differ(self) -> bool:
@@ -195,15 +196,13 @@ class ListImages:
 
     def numbers_of_draws(self) -> list[float]:
         """Those of each image, behind the probabilities of the augmentation."""
-        numbers: list[float] = []
-        for shape in self.shapes:
-            if self.plan.numbers is None:
-                numbers += _numbers(self.module._request(shape))[2:]
-                continue
-            first = len(numbers) - 2
-            numbers += self.plan.numbers[2:]
-            for at in self.plan.sizes_at:
-                numbers[first + at : first + at + 2] = shape[2:]
+        if self.plan.numbers is None:
+            return [number for shape in self.shapes for number in _numbers(self.module._request(shape))[2:]]
+        own = self.plan.numbers[2:]
+        numbers = own * len(self.images)
+        for at in self.plan.sizes_at:
+            numbers[at - 2 :: len(own)] = self.sides[::2]
+            numbers[at - 1 :: len(own)] = self.sides[1::2]
         return numbers
 
     def with_sizes(self, columns: Tensor | None, like: Tensor) -> Tensor | None:
@@ -234,10 +233,9 @@ class ListImages:
         matrix: Tensor | None = None,
     ) -> ListExecution:
         """The record of the call; its matrices are computed when they are asked for, if they are not given."""
-        execution = ListExecution(
-            (len(self.sizes), self.sizes[0][0]), self.sides, self.module, Columns(columns, span).values
-        )
-        execution.columns, execution.is_certain, execution.identity = Columns(columns, span), True, type_of_matrix
+        own = Columns(columns, span)
+        execution = ListExecution(largest_shape(self.images), self.sides, self.module, own)
+        execution.columns, execution.is_certain, execution.identity = own, True, type_of_matrix
         if matrix is None:
             values = columns.to(type_of_matrix[1])
             execution._find_matrix = lambda: self.matrix(values, span)

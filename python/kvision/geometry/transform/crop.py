@@ -187,7 +187,10 @@ def crop_by_boxes(
 def _crop(op, input_tensor, boxes, first, size, mode, padding_mode, align_corners, box_indices=None, antialias=False):
     """Resample the quadrangles `boxes` to the rectangle of `size` with first pixel `first` (B, 2); None for (0, 0)."""
     is_list = isinstance(input_tensor, list)
-    _check.images(op, "input_tensor", input_tensor) if not is_list else check_list(op, "input_tensor", input_tensor)
+    if is_list:
+        input_tensor = check_list(op, "input_tensor", input_tensor)
+    else:
+        _check.images(op, "input_tensor", input_tensor)
     _check.shape(op, "boxes", boxes, "N", 4, 2)
     sampling.check_options(op, mode, padding_mode, align_corners)
     check_antialias(op, antialias, mode)
@@ -325,7 +328,7 @@ def center_crop(
     """
     op = "center_crop"
     if isinstance(input_tensor, list):
-        check_list(op, "input_tensor", input_tensor)
+        input_tensor = check_list(op, "input_tensor", input_tensor)
     else:
         _check.images(op, "input_tensor", input_tensor)
     h, w = _check.ints("center_crop", "size", size, 2)

@@ -298,13 +298,14 @@ def _resize(op, input, size, interpolation, align_corners, side, antialias):
 
 
 def _resize_list(op, images, size, interpolation, align_corners, side, antialias):
-    lists.check_list(op, "input", images)
+    images = lists.check_list(op, "input", images)
     _check.choice(op, "interpolation", interpolation, INTERPOLATIONS)
     _check.choice(op, "side", side, _SIDES)
     is_side = type(size) is not tuple and _check.is_int(size)
     if is_side:
         size = _check.ints(op, "size", size, 1)[0]
-        sizes = [n for x in images for n in side_to_size(size, *x.shape[1:], side)]
+        sides = lists.sizes(images)
+        sizes = [n for h, w in zip(sides[::2], sides[1::2]) for n in side_to_size(size, h, w, side)]
     else:
         sizes = list(_check.ints(op, "size", size, 2))
     if antialias == "gaussian":

@@ -134,7 +134,10 @@ def warp_affine(
 
 def _warp(op, src, M, rows, dsize, mode, padding_mode, align_corners, fill_value, antialias):
     is_list = isinstance(src, list)
-    _check.images(op, "src", src) if not is_list else check_list(op, "src", src)
+    if is_list:
+        src = check_list(op, "src", src)
+    else:
+        _check.images(op, "src", src)
     _check.shape(op, "M", M, "B", rows, 3)
     size = _check.ints(op, "dsize", dsize, 2)
     sampling.check_options(op, mode, padding_mode, align_corners)

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from functools import cached_property
 from typing import Any
 
 import torch
 from torch import Tensor
+from torch.compiler import is_compiling
 
 from kvision import _check
 from kvision._ops import match_layout
@@ -16,14 +18,35 @@ from kvision.geometry.transform.nearest import as_values, moves_values, of_value
 # --- arguments ------------------------------------------------------------------------------------------------------
 
 
-def check_list(op: str, name: str, images: Any) -> None:
-    """Raise unless `images` is a list of images (C, H, W) of one type, device and number of channels."""
+class ImageList(list[Tensor]):
+    """A list of images (C, H, W) that was checked, with its sizes: to ask each image again takes the host longer than a launch."""
+
+    def __init__(self, images: Sequence[Tensor], heights: Sequence[int], widths: Sequence[int]) -> None:
+        super().__init__(images)
+        self.heights, self.widths = heights, widths
+
+    @cached_property
+    def sides(self) -> list[int]:
+        sides = [0] * (2 * len(self))
+        sides[::2], sides[1::2] = self.heights, self.widths
+        return sides
+
+    @cached_property
+    def largest_shape(self) -> tuple[int, ...]:
+        return (len(self), self[0].shape[0], max(self.heights), max(self.widths))
+
+
+def check_list(op: str, name: str, images: Any) -> list[Tensor]:
+    """The list, an ImageList but in graphs; raises unless it has images (C, H, W) of one type, device and number of channels."""
+    if type(images) is ImageList:
+        return images
     if not images:
         raise ShapeError(f"{op}: expected {name} with at least one image, got an empty list")
     first = images[0]
     _check.shape(op, f"{name}[0]", first, "C", "H", "W")
-    if _is_uniform(images):
-        return
+    sides = _uniform_sides(images)
+    if sides is not None:
+        return list(images) if is_compiling() else ImageList(images, *sides)
     for i, x in enumerate(images):
         if type(x) is not Tensor or x.dim() != 3 or 0 in x.shape[1:]:
             _check.shape(op, f"{name}[{i}]", x, "C", "H", "W")
@@ -39,17 +62,21 @@ def check_list(op: str, name: str, images: Any) -> None:
             )
         if x.device != first.device:
             raise DeviceError(f"{op}: expected {name} on one device, got {first.device} and, at {i}, {x.device}")
+    return images if is_compiling() else ImageList(images, *zip(*(x.shape[1:] for x in images)))
 
 
-def _is_uniform(images: Sequence[Any]) -> bool:
-    """Whether nothing is wrong with a list, asked of all images at once; which one is wrong is looked for only then."""
-    if {*map(type, images)} != {Tensor} or len({x.dtype for x in images}) > 1 or len({x.device for x in images}) > 1:
-        return False
-    shapes = [x.shape for x in images]
-    if {*map(len, shapes)} != {3}:
-        return False
-    channels, heights, widths = zip(*shapes)
-    return len({*channels}) == 1 and min(heights) > 0 and min(widths) > 0
+def _uniform_sides(images: Sequence[Any]) -> tuple[Sequence[int], Sequence[int]] | None:
+    """The heights and widths of a list with which nothing is wrong; which image is wrong is looked for only then."""
+    if {*map(type, images)} != {Tensor} or len({x.dtype for x in images}) > 1:
+        return None
+    numbers = {x.get_device() for x in images}  # in half of the time that devices take; those without a number have -1
+    if len(numbers) > 1 or (-1 in numbers and len({x.device for x in images}) > 1):
+        return None
+    try:
+        channels, heights, widths = zip(*[x.shape for x in images], strict=True)
+    except ValueError:  # other axes
+        return None
+    return (heights, widths) if len({*channels}) == 1 and min(heights) > 0 and min(widths) > 0 else None
 
 
 def refuse_antialias(op: str, antialias: bool) -> None:
@@ -62,18 +89,19 @@ def as_value_list(images: Sequence[Tensor], mode: str) -> list[Tensor]:
     """The images as operators take them."""
     first = images[0]
     if first.is_floating_point() or first.dtype == torch.uint8:
-        return list(images)
+        return images if isinstance(images, list) else list(images)
     return [as_values(x[None], mode)[0] for x in images]
 
 
 def like_batch(images: Sequence[Tensor]) -> Tensor:
     """(B, C, 1, 1) of the type and device of a list, for checks that read nothing else of a batch."""
-    first = images[0]
-    return first[:, :1, :1].detach().expand(len(images), -1, -1, -1)
+    return images[0][:, :1, :1].detach().expand(len(images), -1, -1, -1)
 
 
 def largest_shape(images: Sequence[Tensor]) -> tuple[int, ...]:
     """(B, C, H, W) with the largest sides of a list."""
+    if isinstance(images, ImageList):
+        return images.largest_shape
     _, heights, widths = zip(*[x.shape for x in images])
     return (len(images), images[0].shape[0], max(heights), max(widths))
 
@@ -91,7 +119,7 @@ def of_value_list(results: Sequence[Tensor], like: Tensor, mode: str, is_list: b
 
 def sizes(images: Sequence[Tensor]) -> list[int]:
     """Height and width of each image."""
-    return [n for x in images for n in x.shape[-2:]]
+    return images.sides if isinstance(images, ImageList) else [n for x in images for n in x.shape[-2:]]
 
 
 def row(x: Tensor | None, b: int) -> Any:

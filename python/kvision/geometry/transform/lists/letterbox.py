@@ -88,7 +88,7 @@ def letterbox(
     if isinstance(images, Tensor):
         _check.images(op, "images", images)
         images = list(images)
-    _check_list(op, images)
+    images = _check_list(op, images)
     h, w = _check.ints(op, "size", size, 2)
     _check.choice(op, "interpolation", interpolation, INTERPOLATIONS)
     _check.flag(op, "antialias", antialias)
@@ -135,7 +135,7 @@ def pad_to_batch(images: list[Tensor], multiple: int = 1, fill_value: float = 0.
         (torch.Size([2, 1, 4, 8]), [[3, 5], [4, 2]])
     """
     op = "pad_to_batch"
-    _check_list(op, images)
+    images = _check_list(op, images)
     (multiple,) = _check.ints(op, "multiple", multiple, 1)
     fill_value = _check.number(op, "fill_value", fill_value)
     sizes = [tuple(x.shape[1:]) for x in images]
@@ -144,12 +144,12 @@ def pad_to_batch(images: list[Tensor], multiple: int = 1, fill_value: float = 0.
     return PaddedBatch(batch, torch.tensor(sizes, device=images[0].device))
 
 
-def _check_list(op: str, images: object) -> None:
+def _check_list(op: str, images: object) -> list[Tensor]:
     if not isinstance(images, list):
         raise TypeCheckError(
             f"{op}: expected images to be a list of Tensors, got {_check.described(images)}", actual_type=type(images)
         )
-    check_list(op, "images", images)
+    return check_list(op, "images", images)
 
 
 def _placed(

@@ -226,3 +226,26 @@ def test_expanded_rotations_in_containers(resample: str, device: torch.device) -
         back = augment.inverse(y, mask, moved, at)
         assert back[0].shape == x.shape and (back[0] - x).abs().mean() < 0.01
         torch.testing.assert_close(back[3], points, rtol=0, atol=1e-3)
+
+
+@pytest.mark.parametrize("same", ["alone", "container"])
+@pytest.mark.parametrize("missing", ["contrast", "saturation", "hue", "all"])
+def test_adjustments_that_change_nothing_leave_the_program(missing: str, same: str, device: torch.device) -> None:
+    """With the same draws, clips and gradients; given parameters are all applied."""
+    ranges = {"brightness": 0.4, "contrast": 0.4, "saturation": 0.4, "hue": 0.2}
+    less = {name: 0.0 if missing in (name, "all") else value for name, value in ranges.items()}
+    x = (1.4 * images(device) - 0.2).requires_grad_()
+    jitter, full = A.ColorJitter(**less, p=0.8), A.ColorJitter(**ranges, p=0.8)
+    call = jitter if same == "alone" else A.ImageSequential(A.RandomHorizontalFlip(p=1.0), jitter)
+    source = x if same == "alone" else x.flip(-1)
+    y = call(x, seed=3)
+    expected = full(source, params=jitter._params)
+    torch.testing.assert_close(y, expected)
+    torch.testing.assert_close(*(torch.autograd.grad(z.square().sum(), x, retain_graph=True)[0] for z in (y, expected)))
+    if missing in ("contrast", "all"):
+        steps = jitter._plan(x, False).image_pass
+        assert steps is not None and not steps.has_contrast
+    if device.type == "cpu":  # where the host knows the parameters
+        assert torch.equal(call(x, params=call._params), y)
+    full(source, seed=4)
+    torch.testing.assert_close(jitter(source, params=full._params), full(source, params=full._params))

@@ -197,6 +197,22 @@ def _with_learned(drawn: Tensor, draws: Sequence[Draw | Learned]) -> Tensor:
     return torch.cat(parts, 1)
 
 
+def constant_values(draws: Sequence[Draw | Learned]) -> list[float | None]:
+    """What the columns of draws hold for all samples that are chosen; None for those that differ."""
+    values: list[float | None] = []
+    for draw in draws:
+        constants: list[float] = []
+        if (
+            isinstance(draw, Draw)
+            and draw.kind in ("uniform", "uniform_and_affine")
+            and draw.numbers[0] == draw.numbers[1]
+        ):
+            low, _, *rest = draw.numbers
+            constants = [low] if draw.kind == "uniform" else [low, rest[0] * low + rest[1]]
+        values += constants or [None] * draw.columns
+    return values
+
+
 def identity_values(draws: Sequence[Draw | Learned]) -> list[float]:
     """What the columns of draws hold for samples that are not chosen."""
     values: list[float] = []

@@ -161,7 +161,7 @@ class GeometricAugmentationBase2D(GeometricAugmentation, RigidAffineAugmentation
         if columns is None and execution.params is not None:
             execution.matrix = self._matrix_of(x, execution, flags)
             return self._warp(x, execution.matrix, flags)
-        image_pass = self._kept_pass(x.dtype, execution.shape, None if columns is None else columns.span, flags)
+        image_pass = self._kept_pass(x.dtype, execution, flags)
         assert image_pass is not None
         y, matrix = image_pass.run(x, None if columns is None else columns.drawn)
         execution.keep_matrix(matrix)

@@ -107,8 +107,7 @@ class IntensityAugmentationBase2D(RigidAffineAugmentationBase2D, keeps_contract=
             return x
         columns = execution.columns
         by_name = columns is None and execution.params is not None
-        span = None if columns is None else columns.span
-        image_pass = None if by_name else self._kept_pass(x.dtype, execution.shape, span, flags)
+        image_pass = None if by_name else self._kept_pass(x.dtype, execution, flags)
         if image_pass is None:
             return super()._run(x, execution, flags)
         return image_pass.run(x, None if columns is None else columns.drawn)[0]

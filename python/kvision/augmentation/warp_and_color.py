@@ -7,7 +7,7 @@ registers. Either part may be missing; the result may have another type and layo
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -367,12 +367,26 @@ class ColorStep:
     def __repr__(self) -> str:
         return f"ColorStep({', '.join(map(repr, (self.name, *self.parameters)))})"
 
+    def _reduced(self, constants: Mapping[str, float]) -> ColorStep:
+        """A cheaper step that gives the same, up to rounding, where fields have constant values that change nothing."""
+        values = tuple(constants.get(x) if isinstance(x, str) else x for x in self.parameters)
+        return _AT_IDENTITY.get((self.name, values), self)
+
     def _bound(self, names: Names) -> ColorStep:
         """The same step with columns in place of their names."""
         bound = ColorStep(self.name, *bind(self.parameters, names))
         if STEPS[self.name].arguments == "numbers" and any(isinstance(x, Column) for x in bound.parameters):
             raise ValueCheckError(f"ColorStep: expected numbers as parameters of {self.name!r}, got {self!r}")
         return bound
+
+
+# What steps do that change nothing. Those that clip still do.
+_CLIP = ColorStep("scale_shift", 1.0, 0.0, 1.0)
+_AT_IDENTITY: Mapping[tuple[str, tuple[Any, ...]], ColorStep] = {
+    ("contrast", (1.0,)): _CLIP,
+    ("saturation_gray", (1.0,)): _CLIP,
+    ("hue", (0.0,)): ColorStep("scale_shift", 1.0),
+}
 
 
 class ColorPart(NamedTuple):

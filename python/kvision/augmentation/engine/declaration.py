@@ -10,6 +10,7 @@ import inspect
 import warnings
 from collections.abc import Mapping, Sequence
 from enum import Enum
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import torch
@@ -19,7 +20,8 @@ from typing_extensions import Self
 
 from kvision import _check
 from kvision._constants import constant
-from kvision.augmentation.columns import Columns, Names, Span, identity_values, name_columns
+from kvision._torch_compat import in_function_transform
+from kvision.augmentation.columns import Columns, Names, Span, constant_values, identity_values, name_columns
 from kvision.augmentation.draws import Draw, Request
 from kvision.augmentation.engine.configuration import SWITCHES, Flags, Plans, portable, settings_changed
 from kvision.augmentation.engine.contribution import Colors, Contribution
@@ -236,10 +238,38 @@ class Declaration(KeepsArguments):
         names = self._names_of_columns(span)
         return [transform._bound(names) for transform in chain]
 
-    def _color_part(self, colors: Colors, span: Span | None) -> ColorPart:
-        """Color steps with their columns."""
+    def _constants(self, shape: Shape, params: Params | None) -> Mapping[str, float]:
+        """The fields whose values are the same in all draws for images of a shape, and in given parameters, as far as the host has
+        them.
+        """
+        generator = self._param_generator
+        if generator is None or generator.derives or self._draws_by_name or not self.keeps_positions:
+            return {}
+        constants: dict[str, float] | None = self._plans.get(("constants", shape))
+        names = name_columns(generator.fields)
+        if constants is None:
+            values = constant_values(generator.draws(shape))
+            each = {name: values[columns[0].position] for name, columns in names.items()}
+            constants = {name: value for name, value in each.items() if value is not None}
+            self._plans.keep(("constants", shape), constants)
+        if params is None or not constants:
+            return constants
+        on_host = all(
+            not isinstance(x, Tensor) or (x.device.type == "cpu" and not x.requires_grad) for x in params.values()
+        )
+        if not on_host or is_compiling() or in_function_transform():
+            return {}
+        given = generator.to_columns(params, shape).double()
+        return {
+            name: value for name, value in constants.items() if bool((given[:, names[name][0].position] == value).all())
+        }
+
+    def _color_part(
+        self, colors: Colors, span: Span | None, constants: Mapping[str, float] = MappingProxyType({})
+    ) -> ColorPart:
+        """Color steps with their columns. Where constant values of fields change nothing, cheaper ones replace them."""
         names = self._names_of_columns(span)
-        steps, order = [step._bound(names) for step in colors.steps], None
+        steps, order = [step._reduced(constants)._bound(names) for step in colors.steps], None
         if colors.order is not None:
             order = [column.position for column in names[colors.order]]
         elif span is not None and span.has_chosen:  # the last columns, which `_request` of color augmentations adds
@@ -284,11 +314,13 @@ class Declaration(KeepsArguments):
         """The contribution of the class for images of a shape: none to a pass, unless a subclass says more."""
         return Contribution()
 
-    def _pass(self, shape: Shape, span: Span | None, flags: dict[str, Any]) -> Pass | None:
+    def _pass(
+        self, shape: Shape, span: Span | None, flags: dict[str, Any], constants: Mapping[str, float]
+    ) -> Pass | None:
         """The pass that executes this augmentation by columns instead of parameters by name; None if there is no such pass."""
         motion, colors, _ = self._contribution(shape, flags) or Contribution()
         if colors is not None:
-            return make_pass(None, parts=[self._color_part(colors, span)])
+            return make_pass(None, parts=[self._color_part(colors, span, constants)])
         if motion is not None and motion.chain is not None and motion.reads_by_matrix:
             return make_pass(self._bound(motion.chain, span), motion.size, motion.resampling)
         return None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import torch
@@ -267,19 +268,29 @@ class Executor(Declaration):
                 self._plans.keep(key, plan)
         return plan
 
-    def _pass_of(self, dtype: torch.dtype, shape: Shape, span: Span | None, flags: dict[str, Any]) -> Pass | None:
+    def _pass_of(
+        self,
+        dtype: torch.dtype,
+        shape: Shape,
+        span: Span | None,
+        flags: dict[str, Any],
+        constants: Mapping[str, float] | None = None,
+    ) -> Pass | None:
         """The pass that executes this augmentation by columns on images of a type."""
-        image_pass, result = self._pass(shape, span, flags), self._result_dtype(dtype)
+        constants = self._constants(shape, None) if constants is None else constants
+        image_pass, result = self._pass(shape, span, flags, constants), self._result_dtype(dtype)
         return image_pass if image_pass is None or result == dtype else image_pass.giving(result)
 
-    def _kept_pass(self, dtype: torch.dtype, shape: Shape, span: Span | None, flags: dict[str, Any]) -> Pass | None:
+    def _kept_pass(self, dtype: torch.dtype, execution: Execution, flags: dict[str, Any]) -> Pass | None:
         """`_pass_of`, cached for the flags of the constructor."""
+        shape, constants = execution.shape, self._constants(execution.shape, execution.params)
+        span = None if execution.columns is None else execution.columns.span
         if flags is not self.flags:
-            return self._pass_of(dtype, shape, span, flags)
-        key = (dtype, shape, span)
+            return self._pass_of(dtype, shape, span, flags, constants)
+        key = (dtype, shape, span, *constants)
         kept: tuple[Pass | None] | None = self._plans.get(key)
         if kept is None:
-            kept = (self._pass_of(dtype, shape, span, flags),)
+            kept = (self._pass_of(dtype, shape, span, flags, constants),)
             self._plans.keep(key, kept)
         return kept[0]
 

@@ -209,7 +209,8 @@ class _Planner:
             raise ShapeError(f"{type(module).__name__}: expected images of shape (B, C, H, W), got {shape}")
         has_columns = execution.params is None or span is not None
         if colors is not None and has_columns:
-            self._add_colors(module._color_part(colors, span), result)
+            constants = module._constants(shape, execution.params)
+            self._add_colors(module._color_part(colors, span, constants), result)
         elif motion is not None and (motion.is_map or has_columns) and (self.once or motion.reads_by_matrix):
             chain = self.first_chain if number == 0 else None
             chain = module._bound(motion.chain or (), span) if chain is None else chain

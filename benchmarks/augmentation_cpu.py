@@ -1,6 +1,6 @@
 """`python -m benchmarks.augmentation_cpu`: images a second of uint8 images on one CPU thread, against Albumentations.
 
-Ten single augmentations, each of which always acts, and the pipeline of crop, flip, jitter and normalization to float32. kvision
+Single augmentations, each of which always acts, and the pipeline of crop, flip, jitter and normalization to float32. kvision
 gets a batch, and the same images one by one, as a worker of a data loader has them. Albumentations gets them one by one, as
 (H, W, C) arrays. All three take turns; the figures are those of the quickest of many calls. Albumentations (AlbumentationsX) is
 not among the dependencies of kvision: pip install albumentationsx.
@@ -53,7 +53,13 @@ PAIRS = [
         lambda B, n: B.Affine(scale=(0.8, 1.2), translate_percent=(-0.1, 0.1), rotate=(-30, 30), shear=(-10, 10), p=1),
     ),
     Pair("perspective", lambda n: A.RandomPerspective(0.2, p=1.0), lambda B, n: B.Perspective((0.05, 0.1), p=1)),
+    Pair(
+        "crop",
+        lambda n: A.RandomCrop((7 * n // 8, 7 * n // 8)),
+        lambda B, n: B.RandomCrop(7 * n // 8, 7 * n // 8),
+    ),
     Pair("resized crop", lambda n: A.RandomResizedCrop((n, n)), lambda B, n: B.RandomResizedCrop((n, n))),
+    Pair("resize", lambda n: A.Resize((5 * n // 7, 5 * n // 7)), lambda B, n: B.Resize(5 * n // 7, 5 * n // 7)),
     Pair(
         "color jitter",
         lambda n: A.ColorJitter(0.2, 0.2, 0.2, 0.1),
@@ -65,6 +71,7 @@ PAIRS = [
         lambda B, n: B.GaussianBlur(blur_range=(5, 5), sigma_range=(0.1, 2.0), p=1),
     ),
     Pair("grayscale", lambda n: A.RandomGrayscale(p=1.0), lambda B, n: B.ToGray(p=1)),
+    Pair("normalize", lambda n: A.Normalize(MEAN, STD), lambda B, n: B.Normalize(MEAN, STD)),
     Pair("equalize", lambda n: A.RandomEqualize(p=1.0), lambda B, n: B.Equalize(p=1)),
     Pair("solarize", lambda n: A.RandomSolarize(0.1, 0.0, p=1.0), lambda B, n: B.Solarize((0.4, 0.6), p=1)),
     Pair(

@@ -18,6 +18,8 @@
 namespace kv::feature::cuda {
 namespace {
 
+static_assert(kDerivativeBorder == Border::replicate, "the derivatives below replicate");
+
 constexpr int R = kWindowReach, kTaps = 2 * R + 1, P = kColumns;
 constexpr int kReach = 4, kReachOfGradients = 8;       // columns of a block that are incomplete on either side
 constexpr int kDelay = R + 1, kDelayOfGradients = 10;  // rows from the derivatives to the result

@@ -5,12 +5,13 @@
 //   hessian  second derivatives -> the determinant of the Hessian
 //   dog      a Gaussian blur in a window of 13 x 13 minus one in a window of 9 x 9
 //
-// The derivatives have the replicate border, and the windows the reflect border. W, the sum in a window along an axis,
-// is not symmetric at the ends, but D W is, where D halves the two ends. The transpose of W is therefore D W D^-1, so
-// the gradient uses the windows of the response. Included by responses_cpu.cpp, responses*.cu, responses_op.cpp and
-// scale_space/hessian.h.
+// The derivatives have the border kDerivativeBorder, and the windows the reflect border. W, the sum in a window along
+// an axis, is not symmetric at the ends, but D W is, where D halves the two ends. The transpose of W is therefore D W
+// D^-1, so the gradient uses the windows of the response. Included by responses_cpu.cpp, responses*.cu,
+// responses_op.cpp and scale_space/hessian.h.
 #pragma once
 
+#include "core/border.h"
 #include "core/isa.h"
 #include "core/view.h"
 #include "filters/edges/spatial_gradient.h"
@@ -19,6 +20,8 @@ namespace kv::feature {
 
 // The numbers are stable: exported graphs contain them.
 enum class CornerKind : int { harris = 0, gftt = 1 };
+
+constexpr Border kDerivativeBorder = Border::replicate;  // of first derivatives
 
 // The reach of the window, and of a gradient through derivatives and windows.
 constexpr int kWindowReach = 3, kCornerGradientReach = 2 * kWindowReach + 1;
@@ -167,8 +170,8 @@ KV_HD void gradient(GradientColumn<V> left, GradientColumn<V> middle, GradientCo
   dy = (sobel ? left.difference + middle.difference * 2 + right.difference : middle.difference) * scale;
 }
 
-// The transpose, row by row: the gradient of a pixel from u = dL/d(dx) and v = dL/d(dy) of its neighbors. Out of bounds
-// u is odd in x and even in y, v is even in x and odd in y (filters/edges/sobel.h).
+// The transpose, row by row: the gradient of a pixel from u = dL/d(dx) and v = dL/d(dy) of its neighbors, which
+// filters/edges/sobel.h explains.
 template <class V>
 struct GradientRow {
   V across, along;

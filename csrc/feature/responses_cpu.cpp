@@ -1,7 +1,6 @@
 // Responses of corners and blobs on the CPU: rows [begin, end) of all planes in order. Each stage keeps the rows that
 // the next stage reads in a ring buffer. Compiled once per instruction set.
-#include "core/lanes.h"
-#include "core/scratch.h"
+#include "filters/edges/neighborhoods_cpu.h"
 #include "responses.h"
 
 namespace kv::feature::KV_ISA {
@@ -26,14 +25,6 @@ struct RowRing {
     return window;
   }
 };
-
-// Calls pixel(width, element, left neighbor, right neighbor) over a row with the replicate border.
-template <class T, class Pixel>
-KV_HD void for_each_neighborhood(int64_t size, int64_t step, Pixel pixel) {
-  for (int64_t e = 0; e < step; ++e) pixel(Width<1>{}, e, e, e + step < size ? e + step : e);
-  for_each_vector<T>(step, size - step, [&](auto width, int64_t e) { pixel(width, e, e - step, e + step); });
-  for (int64_t e = max(step, size - step); e < size; ++e) pixel(Width<1>{}, e, e - step, e);
-}
 
 // Three rows of products, one for each element of a symmetric matrix, summed in the window along x.
 template <class F>
@@ -84,16 +75,13 @@ KV_HD SymmetricMatrix<Lanes<F, N>> sum_down(F const* const (&rows)[kTaps], int64
 
 // Calls put(width, element, dx, dy) for the first derivatives of a row.
 template <class T, class Put>
-KV_HD void differentiate_row(Planes<T const> const& x, int64_t plane, int64_t y, bool sobel, Put put) {
+KV_HD void differentiate_row(filters::KV_ISA::Neighborhoods<kDerivativeBorder, T> const& x, int64_t plane, int64_t y,
+                             bool sobel, Put put) {
   using F = Compute<T>;
-  T const* const b = x.row(plane, y);
-  T const* const a = y > 0 ? b - x.row_stride : b;
-  T const* const c = y + 1 < x.height ? b + x.row_stride : b;
-  for_each_neighborhood<T>(x.row_size(), x.step, [&](auto width, int64_t e, int64_t left, int64_t right) {
-    constexpr int N = decltype(width)::value;
-    auto const at = [&](int64_t i) { return gradient_column(load<N>(a + i), load<N>(b + i), load<N>(c + i), sobel); };
-    Lanes<F, N> dx, dy;
-    gradient(at(left), at(e), at(right), sobel, gradient_scale<F>(sobel), dx, dy);
+  x.for_each(plane, y, [&](auto width, int64_t e, auto left, auto middle, auto right) KV_INLINE {
+    auto const column = [&](auto const& c) { return gradient_column(c.above, c.middle, c.below, sobel); };
+    Lanes<F, decltype(width)::value> dx, dy;
+    gradient(column(left), column(middle), column(right), sobel, gradient_scale<F>(sobel), dx, dy);
     put(width, e, dx, dy);
   });
 }
@@ -125,8 +113,9 @@ void corner_response(Response<T> const& p, int64_t begin, int64_t end) {
   Scratch<F> scratch(WindowAlongX<F>::elements(size, step) + 3 * kTaps * size);
   WindowAlongX<F> const window{scratch.data, size, step};
   RowRing<kTaps, F> const summed{scratch.data + window.elements(size, step), 3 * size};
+  filters::KV_ISA::Neighborhoods<kDerivativeBorder, T> const x(p.x);
   auto const fill = [&](int64_t plane, int64_t y) {
-    differentiate_row(p.x, plane, reflected(y, height), sobel, [&](auto width, int64_t e, auto dx, auto dy) {
+    differentiate_row(x, plane, reflected(y, height), sobel, [&](auto width, int64_t e, auto dx, auto dy) {
       constexpr int N = decltype(width)::value;
       window.template put<N>(e, products<F, N>(dx, dy));
     });
@@ -150,17 +139,16 @@ void corner_response(Response<T> const& p, int64_t begin, int64_t end) {
 template <class T>
 void corner_response_backward(ResponseBackward<T> const& p, int64_t begin, int64_t end) {
   using F = Compute<T>;
-  int64_t const size = p.x.row_size(), step = p.x.step, height = p.x.height, padded = size + 2 * step;
+  int64_t const size = p.x.row_size(), step = p.x.step, height = p.x.height;
   bool const sobel = p.arguments.sobel;
   F const gradient_factor = gradient_scale<F>(sobel);
   int64_t const window_elements = WindowAlongX<F>::elements(size, step), ring_elements = kTaps * 3 * size;
-  Scratch<F> scratch(window_elements + 2 * ring_elements + kTaps * 2 * size + 2 * padded + 3 * 2 * size);
+  Scratch<F> scratch(window_elements + 2 * ring_elements + kTaps * 2 * size);
   WindowAlongX<F> const window{scratch.data, size, step};
   RowRing<kTaps, F> const summed{scratch.data + window_elements, 3 * size},
       summed_back{summed.data + ring_elements, 3 * size}, gradients{summed_back.data + ring_elements, 2 * size};
-  F* const u = gradients.data + kTaps * 2 * size + step;
-  F* const v = u + padded;
-  RowRing<3, F> const rows{v - step + padded, 2 * size};
+  filters::KV_ISA::Neighborhoods<kDerivativeBorder, T> const x(p.x);
+  filters::KV_ISA::NeighborhoodsVjp<kDerivativeBorder, F> const pixels(p.x);
 
   auto const is_end = [&](int64_t y) { return y == 0 || y == height - 1; };
   // Scales the ends of the three rows in the window, along x.
@@ -170,7 +158,7 @@ void corner_response_backward(ResponseBackward<T> const& p, int64_t begin, int64
   // Products of the derivatives of row y, in the window along x.
   auto const differentiate = [&](int64_t plane, int64_t y) {
     F* const dx_row = gradients[y];
-    differentiate_row(p.x, plane, reflected(y, height), sobel, [&](auto width, int64_t e, auto dx, auto dy) {
+    differentiate_row(x, plane, reflected(y, height), sobel, [&](auto width, int64_t e, auto dx, auto dy) {
       constexpr int N = decltype(width)::value;
       store<N>(dx_row + e, dx);
       store<N>(dx_row + size + e, dy);
@@ -197,27 +185,16 @@ void corner_response_backward(ResponseBackward<T> const& p, int64_t begin, int64
     F const* const dx_row = gradients[y];
     F const factor = is_end(y) ? F(0.5) : F(1);
     auto const window_down = summed_back.around(y);
-    F *const across = rows[y], *const along = across + size;
     for_each_vector<F>(0, size, [&](auto width, int64_t e) {
       constexpr int N = decltype(width)::value;
       auto const m = sum_down<N>(window_down.rows, size, e);
       Lanes<F, N> const dx = load<N>(dx_row + e), dy = load<N>(dx_row + size + e);
-      store<N>(u + e, (dx * m.xx * 2 + dy * m.xy) * factor);
-      store<N>(v + e, (dy * m.yy * 2 + dx * m.xy) * factor);
+      store<N>(pixels.u + e, (dx * m.xx * 2 + dy * m.xy) * factor);
+      store<N>(pixels.v + e, (dy * m.yy * 2 + dx * m.xy) * factor);
     });
-    scale_ends(u, F(0.5));
-    scale_ends(v, F(0.5));
-    for (int64_t e = 0; e < step; ++e) {
-      u[e - step] = -u[e], v[e - step] = v[e];
-      u[size + e] = -u[size - step + e], v[size + e] = v[size - step + e];
-    }
-    for_each_vector<F>(0, size, [&](auto width, int64_t e) {
-      constexpr int N = decltype(width)::value;
-      auto const row = gradient_row_vjp(load<N>(u + e - step), load<N>(u + e + step), load<N>(v + e - step),
-                                        load<N>(v + e), load<N>(v + e + step), sobel);
-      store<N>(across + e, row.across);
-      store<N>(along + e, row.along);
-    });
+    scale_ends(pixels.u, F(0.5));
+    scale_ends(pixels.v, F(0.5));
+    pixels.put(y, [&](auto... neighbors) { return gradient_row_vjp(neighbors..., sobel); });
   };
 
   for (int64_t r = begin; r < end;) {
@@ -229,17 +206,8 @@ void corner_response_backward(ResponseBackward<T> const& p, int64_t begin, int64
       if (int64_t const at = y - 2 * R; at >= y0 - 1 && at >= 0 && at < height) differentiate_products(at);
       int64_t const at = y - 2 * R - 1;
       if (at < y0) continue;
-      T* const out = p.grad_x.row(plane, at);
-      auto const around = rows.around(at);
-      for_each_vector<T>(0, size, [&](auto width, int64_t e) {
-        constexpr int N = decltype(width)::value;
-        auto const row = [&](int i) {
-          return GradientRow<Lanes<F, N>>{load<N>(around.rows[i] + e), load<N>(around.rows[i] + size + e)};
-        };
-        auto const middle = row(1);
-        auto const above = at > 0 ? row(0) : row_out_of_bounds(middle);
-        auto const below = at + 1 < height ? row(2) : row_out_of_bounds(middle);
-        store<N>(out + e, gradient_vjp(above, middle, below, sobel, gradient_factor));
+      pixels.template store_row<GradientRow>(at, p.grad_x.row(plane, at), [&](auto above, auto middle, auto below) {
+        return gradient_vjp(above, middle, below, sobel, gradient_factor);
       });
     }
     r += y1 - y0;

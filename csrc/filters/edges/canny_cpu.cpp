@@ -1,8 +1,7 @@
 // Non-maximum suppression and hysteresis of Canny on the CPU. Compiled once per instruction set.
 #include "canny.h"
-#include "core/lanes.h"
-#include "core/scratch.h"
 #include "core/stream.h"
+#include "neighborhoods_cpu.h"
 
 namespace kv::filters::KV_ISA {
 
@@ -18,6 +17,7 @@ void canny_suppress(CannySuppress<T> const& p, int64_t begin, int64_t end) {
     return scratch.data + 3 * padded + ((y + 2) % 2 * 2 + which) * size;
   };
   F const eps = p.eps;
+  Neighborhoods<kSobelBorder, T> const x(p.x);
 
   auto const fill = [&](int64_t plane, int64_t y) {  // row y, which may be one row out of bounds
     F* const q = squared(y);
@@ -26,21 +26,15 @@ void canny_suppress(CannySuppress<T> const& p, int64_t begin, int64_t end) {
       return;
     }
     for (int64_t e = 0; e < step; ++e) q[e - step] = q[size + e] = eps;
-    T const* const b = p.x.row(plane, y);
-    T const* const a = y > 0 ? b - p.x.row_stride : b;
-    T const* const c = y + 1 < height ? b + p.x.row_stride : b;
-    auto const pixel = [&](auto width, int64_t e, int64_t left, int64_t right) {
+    x.for_each(plane, y, [&](auto width, int64_t e, auto left, auto middle, auto right) KV_INLINE {
       constexpr int N = decltype(width)::value;
-      auto const at = [&](int64_t i) { return sobel_column(load<N>(a + i), load<N>(b + i), load<N>(c + i)); };
+      auto const column = [](auto const& c) { return sobel_column(c.above, c.middle, c.below); };
       Lanes<F, N> gx, gy;
-      sobel_gradients(at(left), at(e), at(right), F(1), gx, gy);
+      sobel_gradients(column(left), column(middle), column(right), F(1), gx, gy);
       store<N>(gradient(y, 0) + e, gx);
       store<N>(gradient(y, 1) + e, gy);
       store<N>(q + e, gx * gx + gy * gy + eps);
-    };
-    for (int64_t e = 0; e < step; ++e) pixel(Width<1>{}, e, e, e + step < size ? e + step : e);
-    for_each_vector<T>(step, size - step, [&](auto width, int64_t e) { pixel(width, e, e - step, e + step); });
-    for (int64_t e = max(step, size - step); e < size; ++e) pixel(Width<1>{}, e, e - step, e);
+    });
   };
 
   stream_rows(begin, end, height, fill, [&](int64_t plane, int64_t y, int64_t) {

@@ -6,6 +6,9 @@
 namespace kv::filters::cuda {
 namespace {
 
+static_assert(kSobelBorder == Border::replicate,
+              "RowCursor, weight_gradient's extension and the plain kernels replicate");
+
 // Rows of a strip, chosen by measurements on an H200. The backward pass has a longer setup and reads more rows twice.
 // Unaligned rows of half types are limited by instructions: where there are enough strips, higher ones read fewer rows
 // twice.
@@ -25,7 +28,7 @@ __global__ void __launch_bounds__(256, kBlocks<T, Aligned>) sobel_strip(Sobel<T>
   int64_t plane;
   int x, y0;
   if (!strips.locate(plane, x, y0)) return;
-  Strip<1, Aligned, P> const strip(x, int(p.x.width), Border::replicate);
+  Strip<1, Aligned, P> const strip(x, int(p.x.width), kSobelBorder);
   RowCursor<T> rows(p.x, plane, y0 - 1);
   T* out = p.y.row(plane, y0);
   F const scale = p.scale * p.scale;
@@ -90,8 +93,8 @@ __global__ void __launch_bounds__(256, sizeof(Compute<T>) == 8 ? 1 : 3)
   int x, y0;
   if (!strips.locate(plane, x, y0)) return;
   int const width = int(p.x.width), height = int(p.x.height), y1 = min(y0 + int(strips.rows), height);
-  Strip<1, Aligned> const strip(x, width, Border::replicate);
-  Strip<0, Aligned> const strip_g(x, width, Border::replicate);
+  Strip<1, Aligned> const strip(x, width, kSobelBorder);
+  Strip<0, Aligned> const strip_g(x, width, kSobelBorder);
   bool const extra_left = strip.left_end && x > 0, extra_right = strip.right_end && x + 4 < width;
   int const extra = extra_left ? x - 1 : x + 4;
   int const outer = clamp(extra_left ? extra - 1 : extra + 1, 0, width - 1);

@@ -4,13 +4,16 @@
 //   gx = -2 0 2 * scale  gy =  0  0  0 * scale     scale = 1/8 when normalized, else 1
 //        -1 0 1              1  2  1
 //
-// and the replicate border. Included by sobel_cpu.cpp, sobel.cu and sobel_op.cpp.
+// and the border kSobelBorder. Included by sobel_cpu.cpp, sobel.cu and sobel_op.cpp.
 #pragma once
 
+#include "core/border.h"
 #include "core/isa.h"
 #include "core/view.h"
 
 namespace kv::filters {
+
+constexpr Border kSobelBorder = Border::replicate;
 
 template <class T>
 struct Sobel {
@@ -47,9 +50,10 @@ KV_HD void sobel_gradients(SobelColumn<V> left, SobelColumn<V> middle, SobelColu
 
 // The transpose: the gradient of a pixel from u = dL/dgx and v = dL/dgy of its neighbors, row by row.
 //
-// The transpose of a replicated border extends u and v: a position out of bounds has the value of the border pixel,
-// with its sign changed along the axis that is differentiated. So u is odd in x and even in y; v is even in x and odd
-// in y.
+// Out of bounds u and v are 0, and a position there adds its gradient to the pixel that it is read from. CUDA has a
+// shorter form for the replicate border: there u and v are extended instead, where a position out of bounds has the
+// value of the border pixel, with its sign changed along the axis that is differentiated. So u is odd in x and even in
+// y; v is even in x and odd in y.
 template <class V>
 struct SobelRow {
   V across, along;

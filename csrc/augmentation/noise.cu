@@ -40,6 +40,18 @@ struct FourPixels {
   }
 };
 
+// Blocks are numbered with channels fastest in channels-last images, so that a warp reads adjacent memory.
+template <class Change, class T, bool Vectorized>
+__global__ void __launch_bounds__(kNoiseThreads) change_pixels(__grid_constant__ PixelNoise<T> const p) {
+  int64_t const b = blockIdx.y, blocks = p.blocks(), i = blockIdx.x * int64_t(kNoiseThreads) + threadIdx.x;
+  if (i >= p.channels * blocks) return;
+  bool const planar = p.step == 1;
+  int64_t const c = planar ? i / blocks : i % p.channels, block = planar ? i - c * blocks : i / p.channels;
+  FourPixels<T, Vectorized> four(p, b, c, block);
+  if (p.is_chosen(b)) Change::change(p, b, c, block, four);
+  four.store();
+}
+
 struct NormalVariates {
   template <class F>
   static __device__ __forceinline__ void of(PhiloxWords const& words, F (&n)[4]) {
@@ -60,16 +72,12 @@ struct UniformVariates {
   }
 };
 
-// Blocks are numbered with channels fastest in channels-last images, so that a warp reads adjacent memory.
-template <class Variates, class T, bool Vectorized>
-__global__ void __launch_bounds__(kNoiseThreads) add_noise(__grid_constant__ PixelNoise<T> const p) {
-  using F = Compute<T>;
-  int64_t const b = blockIdx.y, blocks = p.blocks(), i = blockIdx.x * int64_t(kNoiseThreads) + threadIdx.x;
-  if (i >= p.channels * blocks) return;
-  bool const planar = p.step == 1;
-  int64_t const c = planar ? i / blocks : i % p.channels, block = planar ? i - c * blocks : i / p.channels;
-  FourPixels<T, Vectorized> four(p, b, c, block);
-  if (p.is_chosen(b)) {
+template <class Variates>
+struct AddNoise {
+  template <class T, bool Vectorized>
+  static __device__ __forceinline__ void change(PixelNoise<T> const& p, int64_t b, int64_t c, int64_t block,
+                                                FourPixels<T, Vectorized>& four) {
+    using F = Compute<T>;
     F const range = p.has(NoiseForm::multiply) ? F(1) : p.full_range;
     F const mean = p.parameters[b * p.parameter_stride] * range,
             deviation = p.parameters[b * p.parameter_stride + 1] * range;
@@ -78,8 +86,29 @@ __global__ void __launch_bounds__(kNoiseThreads) add_noise(__grid_constant__ Pix
 #pragma unroll
     for (int k = 0; k < 4; ++k) four.v.v[k] = round_to<T>(p.noisy(F(read(four.v.v[k])), F(n[k] * deviation + mean)));
   }
-  four.store();
-}
+};
+
+struct CountPhotons {
+  template <class T, bool Vectorized>
+  static __device__ __forceinline__ void change(PixelNoise<T> const& p, int64_t b, int64_t c, int64_t block,
+                                                FourPixels<T, Vectorized>& four) {
+    using F = Compute<T>;
+    F const step = p.parameters[b * p.parameter_stride], power = p.parameters[b * p.parameter_stride + 1];
+    int64_t const at = p.offset(b, c) + 4 * block * p.step;
+    PhiloxWords words{};
+    if (!p.uniform) words = p.source(b).words(p.draw, p.numbered(c, block));
+#pragma unroll
+    for (int k = 0; k < 4; ++k) {
+      if (k >= four.count) break;
+      F const x = read(four.v.v[k]) / p.full_range;
+      F const y = shot(
+          x, F(p.uniform ? p.uniform[at + k * p.step] : unit_of(words.w[k])), step, power,
+          [](F base, F exponent) { return ::pow(base, exponent); }, [](F exponent) { return ::exp(exponent); },
+          [](F square) { return ::sqrt(square); });
+      four.v.v[k] = round_to<T>(y * p.full_range);
+    }
+  }
+};
 
 template <class T, bool Vectorized>
 __global__ void __launch_bounds__(kNoiseThreads) hit_pixels(__grid_constant__ PixelNoise<T> const p) {
@@ -108,33 +137,6 @@ __global__ void __launch_bounds__(kNoiseThreads) hit_pixels(__grid_constant__ Pi
   }
 }
 
-template <class T, bool Vectorized>
-__global__ void __launch_bounds__(kNoiseThreads) count_photons(__grid_constant__ PixelNoise<T> const p) {
-  using F = Compute<T>;
-  int64_t const b = blockIdx.y, blocks = p.blocks(), i = blockIdx.x * int64_t(kNoiseThreads) + threadIdx.x;
-  if (i >= p.channels * blocks) return;
-  bool const planar = p.step == 1;
-  int64_t const c = planar ? i / blocks : i % p.channels, block = planar ? i - c * blocks : i / p.channels;
-  FourPixels<T, Vectorized> four(p, b, c, block);
-  if (p.is_chosen(b)) {
-    F const step = p.parameters[b * p.parameter_stride], power = p.parameters[b * p.parameter_stride + 1];
-    int64_t const at = p.offset(b, c) + 4 * block * p.step;
-    PhiloxWords words{};
-    if (!p.uniform) words = p.source(b).words(p.draw, p.numbered(c, block));
-#pragma unroll
-    for (int k = 0; k < 4; ++k) {
-      if (k >= four.count) break;
-      F const x = read(four.v.v[k]) / p.full_range;
-      F const y = shot(
-          x, F(p.uniform ? p.uniform[at + k * p.step] : unit_of(words.w[k])), step, power,
-          [](F base, F exponent) { return ::pow(base, exponent); }, [](F exponent) { return ::exp(exponent); },
-          [](F square) { return ::sqrt(square); });
-      four.v.v[k] = round_to<T>(y * p.full_range);
-    }
-  }
-  four.store();
-}
-
 template <class T>
 bool has_whole_vectors(PixelNoise<T> const& p) {
   constexpr size_t bytes = alignof(Vector<T, 4>);
@@ -144,11 +146,11 @@ bool has_whole_vectors(PixelNoise<T> const& p) {
 
 dim3 noise_grid(int64_t blocks, int64_t batch) { return {unsigned(ceil_div(blocks, kNoiseThreads)), unsigned(batch)}; }
 
-template <class Variates, class T>
-int run_add_noise(PixelNoise<T> const& p, CUstream_st* stream) {
+template <class Change, class T>
+int run_change(PixelNoise<T> const& p, CUstream_st* stream) {
   dim3 const grid = noise_grid(p.channels * p.blocks(), p.batch);
   with_alignment<T>(has_whole_vectors(p), [&](auto vectorized) {
-    add_noise<Variates, T, vectorized.value><<<grid, kNoiseThreads, 0, stream>>>(p);
+    change_pixels<Change, T, vectorized.value><<<grid, kNoiseThreads, 0, stream>>>(p);
   });
   return cudaGetLastError();
 }
@@ -157,12 +159,12 @@ int run_add_noise(PixelNoise<T> const& p, CUstream_st* stream) {
 
 template <class T>
 int gaussian_noise(PixelNoise<T> const& p, CUstream_st* stream) {
-  return run_add_noise<NormalVariates>(p, stream);
+  return run_change<AddNoise<NormalVariates>>(p, stream);
 }
 
 template <class T>
 int uniform_noise(PixelNoise<T> const& p, CUstream_st* stream) {
-  return run_add_noise<UniformVariates>(p, stream);
+  return run_change<AddNoise<UniformVariates>>(p, stream);
 }
 
 template <class T>
@@ -175,11 +177,7 @@ int salt_and_pepper(PixelNoise<T> const& p, CUstream_st* stream) {
 
 template <class T>
 int shot_noise(PixelNoise<T> const& p, CUstream_st* stream) {
-  dim3 const grid = noise_grid(p.channels * p.blocks(), p.batch);
-  with_alignment<T>(has_whole_vectors(p), [&](auto vectorized) {
-    count_photons<T, vectorized.value><<<grid, kNoiseThreads, 0, stream>>>(p);
-  });
-  return cudaGetLastError();
+  return run_change<CountPhotons>(p, stream);
 }
 
 KV_INSTANTIATE_WITH_BYTES(gaussian_noise, PixelNoise)

@@ -107,36 +107,42 @@ KV_HD void copy_chunk(PixelNoise<T> const& p, int64_t at, int count) {
     for (int i = 0; i < count; ++i) p.y[at + i * p.step] = p.x[at + i * p.step];
 }
 
-template <class Variates, class T>
-KV_HD void add_noise(PixelNoise<T> const& p, int64_t begin, int64_t end) {
-  using F = Compute<T>;
-  F noise[kBuffer];
+// Calls change(sample, channel, first pixel, number of pixels, position of the first one) for chunks of chosen samples,
+// channel by channel, and copies those of the others.
+template <class T, class Change>
+KV_HD void for_each_chunk(PixelNoise<T> const& p, int64_t begin, int64_t end, Change const& change) {
   int64_t const chunks = ceil_div(p.pixels, kChunk);
   for (int64_t unit = begin; unit < end; ++unit) {
     int64_t const b = unit / chunks, first = unit % chunks * kChunk;
     int const count = int(min(p.pixels - first, int64_t(kChunk)));
+    bool const is_chosen = p.is_chosen(b);
+    for (int64_t c = 0; c < p.channels; ++c) {
+      int64_t const at = p.offset(b, c) + first * p.step;
+      is_chosen ? change(b, c, first, count, at) : copy_chunk(p, at, count);
+    }
+  }
+}
+
+template <class Variates, class T>
+KV_HD void add_noise(PixelNoise<T> const& p, int64_t begin, int64_t end) {
+  using F = Compute<T>;
+  F noise[kBuffer];
+  for_each_chunk(p, begin, end, [&](int64_t b, int64_t c, int64_t first, int count, int64_t at) KV_INLINE {
     F const range = p.has(NoiseForm::multiply) ? F(1) : p.full_range;
     F const mean = p.parameters[b * p.parameter_stride] * range,
             deviation = p.parameters[b * p.parameter_stride + 1] * range;
-    for (int64_t c = 0; c < p.channels; ++c) {
-      int64_t const at = p.offset(b, c) + first * p.step;
-      if (!p.is_chosen(b)) {
-        copy_chunk(p, at, count);
-        continue;
-      }
-      Variates::fill(p.source(b), p.draw, p.numbered(c, first / 4), count, noise);
-      for (int i = 0; i < count; ++i) noise[i] = noise[i] * deviation + mean;
-      auto const pixels = [&](auto n, int64_t i) {
-        constexpr int N = decltype(n)::value;
-        int64_t const element = at + i * p.step;
-        store<N>(p.y + element, p.noisy(Lanes<F, N>(load<N>(p.x + element)), Lanes<F, N>(load<N>(noise + i))));
-      };
-      if (p.step == 1)
-        for_each_vector<T>(0, count, pixels);
-      else
-        for (int64_t i = 0; i < count; ++i) pixels(Width<1>{}, i);
-    }
-  }
+    Variates::fill(p.source(b), p.draw, p.numbered(c, first / 4), count, noise);
+    for (int i = 0; i < count; ++i) noise[i] = noise[i] * deviation + mean;
+    auto const pixels = [&](auto n, int64_t i) {
+      constexpr int N = decltype(n)::value;
+      int64_t const element = at + i * p.step;
+      store<N>(p.y + element, p.noisy(Lanes<F, N>(load<N>(p.x + element)), Lanes<F, N>(load<N>(noise + i))));
+    };
+    if (p.step == 1)
+      for_each_vector<T>(0, count, pixels);
+    else
+      for (int64_t i = 0; i < count; ++i) pixels(Width<1>{}, i);
+  });
 }
 
 }  // namespace
@@ -162,60 +168,45 @@ void salt_and_pepper(PixelNoise<T> const& p, int64_t begin, int64_t end) {
   T pepper, salt;
   store<1>(&pepper, F(0));
   store<1>(&salt, p.salt);
-  int64_t const chunks = ceil_div(p.pixels, kChunk);
-  for (int64_t unit = begin; unit < end; ++unit) {
-    int64_t const b = unit / chunks, first = unit % chunks * kChunk;
-    int const count = int(min(p.pixels - first, int64_t(kChunk)));
-    int num_hits = 0;
-    bool const chosen = p.is_chosen(b);
-    for (int64_t c = 0; c < p.channels; ++c) {
-      uint32_t const block = uint32_t(c * p.blocks() + first / 4);
-      if (chosen && (c == 0 || p.has(NoiseForm::by_channel))) {
-        SaltAndPepper const hit(p.parameters[b * p.parameter_stride], p.parameters[b * p.parameter_stride + 1]);
-        fill_words(p.source(b), p.draw, block, count, words);
-        num_hits = 0;
-        for (int i = 0; i < count; ++i) {
-          hits[num_hits] = {i, hit.is_salt(words[i]) ? salt : pepper};
-          num_hits += hit.is_hit(words[i]);
-        }
+  int hit_pixels = 0;
+  for_each_chunk(p, begin, end, [&](int64_t b, int64_t c, int64_t first, int count, int64_t at) KV_INLINE {
+    uint32_t const block = uint32_t(c * p.blocks() + first / 4);
+    int num_hits = hit_pixels;
+    if (c == 0 || p.has(NoiseForm::by_channel)) {
+      SaltAndPepper const hit(p.parameters[b * p.parameter_stride], p.parameters[b * p.parameter_stride + 1]);
+      fill_words(p.source(b), p.draw, block, count, words);
+      num_hits = 0;
+      for (int i = 0; i < count; ++i) {
+        hits[num_hits] = {i, hit.is_salt(words[i]) ? salt : pepper};
+        num_hits += hit.is_hit(words[i]);
       }
-      if (num_hits && p.has(NoiseForm::random)) {
-        fill_words(p.source(b), p.draw + 1, block, count, fill);
-        for (int i = 0; i < num_hits; ++i) store<1>(&hits[i].value, F(fill_of<F>(fill[hits[i].at]) * p.full_range));
-      }
-      int64_t const at = p.offset(b, c) + first * p.step;
-      copy_chunk(p, at, count);
-      for (int i = 0; i < num_hits; ++i) p.y[at + hits[i].at * p.step] = hits[i].value;
+      hit_pixels = num_hits;
     }
-  }
+    if (num_hits && p.has(NoiseForm::random)) {
+      fill_words(p.source(b), p.draw + 1, block, count, fill);
+      for (int i = 0; i < num_hits; ++i) store<1>(&hits[i].value, F(fill_of<F>(fill[hits[i].at]) * p.full_range));
+    }
+    copy_chunk(p, at, count);
+    for (int i = 0; i < num_hits; ++i) p.y[at + hits[i].at * p.step] = hits[i].value;
+  });
 }
 
 template <class T>
 void shot_noise(PixelNoise<T> const& p, int64_t begin, int64_t end) {
   using F = Compute<T>;
   uint32_t words[kBuffer];
-  int64_t const chunks = ceil_div(p.pixels, kChunk);
-  for (int64_t unit = begin; unit < end; ++unit) {
-    int64_t const b = unit / chunks, first = unit % chunks * kChunk;
-    int const count = int(min(p.pixels - first, int64_t(kChunk)));
+  for_each_chunk(p, begin, end, [&](int64_t b, int64_t c, int64_t first, int count, int64_t at) KV_INLINE {
     F const step = p.parameters[b * p.parameter_stride], power = p.parameters[b * p.parameter_stride + 1];
-    for (int64_t c = 0; c < p.channels; ++c) {
-      int64_t const at = p.offset(b, c) + first * p.step;
-      if (!p.is_chosen(b)) {
-        copy_chunk(p, at, count);
-        continue;
-      }
-      if (!p.uniform) fill_words(p.source(b), p.draw, p.numbered(c, first / 4), count, words);
-      for (int i = 0; i < count; ++i) {
-        F const u = p.uniform ? p.uniform[at + i * p.step] : unit_of(words[i]);
-        F const x = load<1>(p.x + at + i * p.step) / p.full_range;
-        F const y = shot(
-            x, u, step, power, [](F base, F exponent) { return F(__builtin_pow(base, exponent)); },
-            [](F exponent) { return F(__builtin_exp(exponent)); }, [](F square) { return F(__builtin_sqrt(square)); });
-        store<1>(p.y + at + i * p.step, Lanes<F, 1>(y * p.full_range));
-      }
+    if (!p.uniform) fill_words(p.source(b), p.draw, p.numbered(c, first / 4), count, words);
+    for (int i = 0; i < count; ++i) {
+      F const u = p.uniform ? p.uniform[at + i * p.step] : unit_of(words[i]);
+      F const x = load<1>(p.x + at + i * p.step) / p.full_range;
+      F const y = shot(
+          x, u, step, power, [](F base, F exponent) { return F(__builtin_pow(base, exponent)); },
+          [](F exponent) { return F(__builtin_exp(exponent)); }, [](F square) { return F(__builtin_sqrt(square)); });
+      store<1>(p.y + at + i * p.step, Lanes<F, 1>(y * p.full_range));
     }
-  }
+  });
 }
 
 KV_INSTANTIATE_WITH_BYTES(gaussian_noise, PixelNoise)

@@ -114,4 +114,57 @@ void for_each_table(ListedSamples& list, size_t count, ImageOf image_of, ResultO
   }
 }
 
+// A call that resizes a list of images, or the gradients of its results, which are one batch or a list.
+struct ListResizing {
+  char const* op;
+  Tensors const& inputs;
+  bool backward;
+  size_t count;
+  ListSizes sizes;  // of the results
+  Tensor like;      // a batch
+  Layout layout;
+  bool interleaved;
+  int64_t channels;
+
+  ListResizing(char const* op, Tensors const& inputs, std::vector<int64_t> const& sides, bool backward)
+      : op(op),
+        inputs(inputs),
+        backward(backward),
+        count(checked_count(op, inputs, backward)),
+        sizes(op, sides, count),
+        like(inputs[0].dim() == 4 ? inputs[0] : as_batch(inputs[0])),
+        layout(layout_of(like)),
+        interleaved(layout == Layout::channels_last),
+        channels(like.size(1)) {}
+
+  static size_t checked_count(char const* op, Tensors const& inputs, bool backward) {
+    KV_CHECK(!inputs.empty(), op, ": expected at least one image");
+    bool const is_batch = inputs[0].dim() == 4;
+    is_batch ? check_images(op, "grads", inputs[0]) : check_image_list(op, backward ? "grads" : "images", inputs);
+    return is_batch ? size_t(inputs[0].size(0)) : inputs.size();
+  }
+
+  // The results, which run(type, tables) computes: tables(list, items_of, launch) fills the list and calls
+  // launch(first sample) for each of its tables; items_of(size) is the number of the items of a result.
+  template <class Run>
+  Tensors results(Run run) const {
+    Tensors const results = empty_results(like, sizes, count, layout, backward);
+    if (channels == 0) return results;
+    Tensors const readable = in_layout(inputs, layout);
+    BatchOrList const from(readable), to(results);
+    auto const tables = [&](ListedSamples& list, auto items_of, auto launch) {
+      list.interleaved = interleaved;
+      for_each_table(
+          list, count, [&](size_t b) { return from[b]; }, [&](size_t b) { return to[b]; },
+          [&](size_t b) { return items_of(sizes[b]); }, launch);
+    };
+    auto const of_type = [&](auto type) { run(type, tables); };
+    if (backward)
+      dispatch_floating(op, like, of_type);
+    else
+      dispatch_floating_and_uint8(op, like, of_type);
+    return results;
+  }
+};
+
 }  // namespace kv::geometry

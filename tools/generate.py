@@ -112,8 +112,7 @@ class Rules:
         return f"Rule{{detail::{name}_gradients{options}}}"
 
     def entries(self, name: str) -> list[_gradients.Entry]:
-        operator = self.operators[name]
-        entries = _gradients.parse(name, operator.words, operator.kernel, self.operators.__getitem__)
+        entries = self.operators[name].entries
         return [e for e in entries if e.call not in (_gradients.BY_REFERENCE, _gradients.BY_HAND)]
 
     def saved_results(self, name: str) -> int:

@@ -98,6 +98,11 @@ def _value(text: str, own: Sequence[str], results: int) -> Value:
     raise ValueError(f"{text!r} is no value of a gradient")
 
 
+def reads_first(entries: Sequence[Entry]) -> bool:
+    """Whether gradients are computed from the first argument, and not only from its sizes."""
+    return any(entry.call in (BY_REFERENCE, BY_HAND) or Value("argument", 0) in entry.values for entry in entries)
+
+
 def compile_words(operator: Any, by_name: Callable[[str], Any]) -> Callable[..., Sequence[Any]]:
     """The function `backward(needs, grads..., results..., *args)` of an operator's words."""
     arguments, outputs = schema_of(operator.kernel).arguments, schema_of(operator.kernel).returns
@@ -110,8 +115,8 @@ def compile_words(operator: Any, by_name: Callable[[str], Any]) -> Callable[...,
 
     def expression(value: Value) -> str:
         kind, of = value
-        if kind == "sizes":  # of a linear operator's input these alone are saved, where it has no other tensor
-            return f"list(getattr(a{of}, 'shape', a{of})[2:])" if operator.linear else f"list(a{of}.shape[2:])"
+        if kind == "sizes":
+            return f"list(a{of}[2:])" if of == 0 and operator.takes_sizes else f"list(a{of}.shape[2:])"
         if kind == "minus":
             return f"[-x for x in a{of}]"
         if kind == "needs":
@@ -123,7 +128,7 @@ def compile_words(operator: Any, by_name: Callable[[str], Any]) -> Callable[...,
     def wanted(targets: Sequence[int]) -> str:
         return " or ".join(f"needs[{i}]" for i in targets)
 
-    for k, (targets, called, values) in enumerate(parse(operator.name, operator.words, operator.kernel, by_name)):
+    for k, (targets, called, values) in enumerate(operator.entries):
         if called in (BY_REFERENCE, BY_HAND):
             needs = "".join(f"needs[{i}], " if i in targets else "False, " for i in range(len(own)))
             inputs = grads + (results if called == BY_HAND else []) + own

@@ -27,7 +27,7 @@ from torch.compiler import is_compiling
 from kvision import _backend
 from kvision._backend import backend, current_backend, unserved_devices
 from kvision._dtype import is_autocast_on
-from kvision._gradients import compile_words
+from kvision._gradients import Entry, compile_words, parse, reads_first
 from kvision._hints import look_at_range, without_hints
 from kvision._symbolic import are_symbolic, kernel_of_tensors
 from kvision._torch_compat import (
@@ -81,6 +81,10 @@ def all_operators() -> dict[str, Operator]:
     """Those of all modules, by name."""
     import_modules()
     return _registered
+
+
+def _registered_operator(name: str) -> Operator:
+    return _registered.get(name) or all_operators()[name]
 
 
 def serves(name: str, x: Tensor) -> str:
@@ -138,8 +142,9 @@ class Operator:
         saves_results: backward needs the results: `backward(needs, grads..., results..., *args)`. Words that mention a
             result imply it.
         non_differentiable: the results, by index, that carry no gradient.
-        linear: linear in its first tensor. Then jvp is the operator itself, and where it has no other tensor nothing
-            is saved for backward (`args[0]` is None there).
+        linear: linear in its first tensor. Then jvp is the operator itself where it has no other tensor. Of the first tensor
+            its sizes alone are saved for backward (`args[0]` is these there), where there is no other or where `gradients`
+            ask for no more.
         bytes: the kernels take uint8, too; "cpu": those of the CPU do, and elsewhere bytes become float32 before the
             kernel and are rounded after it.
         uint16: the kernels take uint16, too.
@@ -405,8 +410,18 @@ class Operator:
     def backward(self) -> Callable[..., Sequence[Tensor | None]]:
         """`backward(needs, grads..., results if they are saved..., *args) -> gradients of the tensor arguments`."""
         if self.words:
-            return compile_words(self, lambda name: _registered.get(name) or all_operators()[name])
+            return compile_words(self, _registered_operator)
         return self.by_hand or self.differentiate_reference
+
+    @functools.cached_property
+    def entries(self) -> list[Entry]:
+        """Those of the words of its gradients."""
+        return parse(self.name, self.words, self.kernel, _registered_operator)
+
+    @functools.cached_property
+    def takes_sizes(self) -> bool:
+        """Whether the words of its gradients ask of the first tensor for no more than the sizes."""
+        return self.linear and bool(self.words) and not reads_first(self.entries)
 
     def _count_tensors(self) -> int:
         """How many arguments are tensors or None; they come first."""
@@ -424,17 +439,17 @@ class Operator:
 
     def _setup_context(self, ctx: Any, inputs: tuple[Any, ...], output: Any) -> None:
         tensors = inputs[: self.tensors]
-        if self._is_linear_map(tensors):
-            ctx.sizes = tensors[0].shape
-            tensors = (None, *tensors[1:])
+        is_linear_map = self._is_linear_map(tensors)
+        ctx.sizes = tensors[0].shape if is_linear_map or self.takes_sizes else None
         if self.saves_results:
             tensors = (*_as_tuple(output), *tensors)
         if self.non_differentiable:
             ctx.mark_non_differentiable(*(_as_tuple(output)[i] for i in self.non_differentiable))
             ctx.set_materialize_grads(False)  # no zeros for these
-        ctx.save_for_backward(*tensors)
+        in_backward = tensors if ctx.sizes is None else (None, *tensors[1:])
+        ctx.save_for_backward(*in_backward)
         if in_forward_ad():
-            ctx.save_for_forward(*tensors)
+            ctx.save_for_forward(*(in_backward if is_linear_map else tensors))
         ctx.plain = inputs[self.tensors :]
         # autograd differentiates on a thread of its own for CUDA, which is in no block.
         ctx.backend = current_backend() if _backend.ask_backend else None
@@ -454,7 +469,7 @@ class Operator:
             return (None,) * len(needs)
         # What torch.func.vjp wrapped hides, once vjp has returned, that a tensor requires a gradient.
         grads, saved = unwrap_dead_wrappers(grads), unwrap_dead_wrappers(ctx.saved_tensors)
-        if self._is_linear_map(saved):
+        if ctx.sizes is not None:
             saved = (ctx.sizes, *saved[1:])
         if ctx.backend is None and not _backend.ask_backend:
             input_grads = self.backward(needs, *grads, *saved, *ctx.plain)

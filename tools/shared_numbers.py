@@ -27,6 +27,17 @@ MODES = (
     ("CONFUSION_STATISTIC", "ConfusionStatistic", "metrics/confusion_matrix.h", ""),
     ("POINT_LOSS", "PointLoss", "metrics/pointwise.h", ""),
     ("SSIM_PADDING", "SsimPadding", "metrics/ssim.h", ""),
+    ("CORNER_KIND", "CornerKind", "feature/responses.h", ""),
+    ("MOTION_TAPS", "MotionTaps", "filters/smoothing/motion.h", ""),
+    ("HISTOGRAM_KERNEL", "HistogramKernel", "enhance/image_histogram2d.h", ""),
+    ("BIN_KERNEL", "BinKernel", "losses/mutual_information.h", ""),
+    ("DRAW_KIND", "DrawKind", "augmentation/draws.h", ""),
+    ("TRANSFORM_KIND", "TransformKind", "augmentation/transforms.h", "ops::TransformKind"),
+    ("POLICY_OPERATION", "Operation", "augmentation/auto/operations.h", ""),
+    ("NODE_KIND", "NodeKind", "augmentation/preimages/preimages.h", ""),
+    ("POSITION_KIND", "PositionKind", "augmentation/preimages/preimages.h", ""),
+    ("CHROMA_SITE", "ChromaSite", "color/frames.h", ""),
+    ("MIX_KIND", "MixKind", "augmentation/mixing/pieces.h", ""),
 )
 IN_PYTHON = {"nearest_exact": "nearest-exact"}  # names that C++ cannot have
 # Limits of kernels, which Python asks before a call, and constants of formulas: the name in Python, and in csrc.
@@ -49,8 +60,35 @@ CONSTANTS = (
     ("MAX_SIFT_CELLS", "kMaxSiftCells", "feature/sift_op.cpp"),
     ("LARGEST_SIFT", "kLargestSift", "feature/sift_op.cpp"),
     ("MAX_CLASSES", "kMaxClasses", "losses/segmentation_op.cpp"),
+    ("MAX_EROSIONS", "kMaxErosions", "losses/hausdorff_op.cpp"),
     ("MAX_SSIM_SCALES", "kMaxSsimScales", "metrics/ssim.h"),
     ("MAX_SSIM_WEIGHTS", "kMaxSsimWeights", "metrics/ssim.h"),
+    ("RANSAC_CHUNK", "kChunk", "geometry/ransac.h"),
+    ("RANSAC_DEVIATIONS", "kDeviations", "geometry/ransac.h"),
+    ("RED_POSITIONS", "kRedPositions", "color/raw_op.cpp"),
+    ("CORNER_REACH", "kWindowReach", "feature/responses.h"),
+    ("FINE_REACH", "kFineReach", "feature/responses.h"),
+    ("COARSE_REACH", "kCoarseReach", "feature/responses.h"),
+    ("MAX_PATCH_CHANNELS", "kMaxPatchChannels", "contrib/vision_patches.h"),
+    ("JPEG_LUMINANCE", "luminance", "enhance/jpeg.h"),
+    ("JPEG_LOW_CHROMINANCE", "low_chrominance", "enhance/jpeg.h"),
+    ("JPEG_HIGH_CHROMINANCE", "high_chrominance", "enhance/jpeg.h"),
+    ("NEAR_PIXEL", "kNearPixel", "augmentation/preimages/preimages.h"),
+    ("DRAW_NUMBERS", "kDrawNumbers", "augmentation/draws.h"),
+    ("DRAW_COLUMNS", "kDrawColumns", "augmentation/draws.h"),
+    ("CHOSEN_DRAW", "kChosenDraw", "augmentation/draws.h"),
+    ("BATCH_SAMPLE", "kBatchSample", "augmentation/draws.h"),
+    ("CROP_TRIES", "kCropTries", "augmentation/draws.h"),
+    ("GAMMA_TRIES", "kGammaTries", "augmentation/draws.h"),
+    ("NOISE_MULTIPLY", "multiply", "augmentation/noise.h"),
+    ("NOISE_CLAMP", "clamp", "augmentation/noise.h"),
+    ("NOISE_SHARED", "shared", "augmentation/noise.h"),
+    ("NOISE_BY_CHANNEL", "by_channel", "augmentation/noise.h"),
+    ("NOISE_RANDOM", "random", "augmentation/noise.h"),
+    ("AFFINE_INPUTS", "kAffineInputs", "augmentation/transforms.h"),
+    ("PERSPECTIVE_INPUTS", "kPerspectiveInputs", "augmentation/transforms.h"),
+    ("CROP_INPUTS", "kCropInputs", "augmentation/transforms.h"),
+    ("MATRIX_INPUTS", "kMatrixInputs", "augmentation/transforms.h"),
     ("MAX_DRAWS", "kMaxDraws", "augmentation/draws.h"),
     ("MAX_DRAW_NUMBERS", "kMaxDrawNumbers", "augmentation/draws.h"),
     ("MAX_TRANSFORMS", "kMaxTransforms", "augmentation/transforms.h"),
@@ -64,7 +102,7 @@ def source(file: str) -> str:
 def members(enum: str, file: str) -> dict[str, int]:
     """The names of an enum of csrc and their numbers."""
     text = source(file)
-    (body,) = re.findall(rf"enum class {enum}\b[^{{;]*\{{(.*?)\}}", text, re.DOTALL)
+    (body,) = re.findall(rf"enum (?:class )?{enum}\b[^{{;]*\{{(.*?)\}}", text, re.DOTALL)
     for macro in re.findall(r"KV_\w+(?=\(KV_NAME_FORMULA\))", body):  # a list of formulas
         (rows,) = re.findall(rf"#define {macro}\(_\)(.*?[^\\])\n", text, re.DOTALL)
         body = re.sub(rf"{macro}\(KV_NAME_FORMULA\),?", ", ".join(re.findall(r"_\((\w+),", rows)) + ", ", body)
@@ -72,14 +110,20 @@ def members(enum: str, file: str) -> dict[str, int]:
     following = 0
     for member in filter(None, map(str.strip, body.split(","))):
         name, _, number = member.partition("=")
-        numbers[name.strip()] = following = int(number or following)
+        numbers[snake_case(name.strip())] = following = int(number or following)
         following += 1
     return numbers
 
 
+def snake_case(name: str) -> str:
+    """An enumerator without its k, as `nearest_pixel` for `kNearestPixel`; names without one as they are."""
+    return re.sub(r"(?<!^)([A-Z])", r"_\1", name[1:]).lower() if re.match(r"k[A-Z]", name) else name
+
+
 def constant(name: str, file: str) -> str:
-    (value,) = re.findall(rf"^constexpr[^;]*\b{name} = ([^;,]+)[;,]", source(file), re.MULTILINE)
-    return str(value)
+    pattern = rf"^ *constexpr[^;]*\b{name}(?:\[\w*\])? = (\{{.*?\}}(?=;)|[^;,{{]+)[;,]"
+    (value,) = re.findall(pattern, source(file), re.MULTILINE | re.DOTALL)
+    return str(value).replace("{", "(").replace("}", ")")
 
 
 def luma() -> list[str]:

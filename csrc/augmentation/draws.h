@@ -8,7 +8,7 @@
 
 namespace kv::augmentation {
 
-// The numbers are those of KINDS in draws.py.
+// What they draw is explained in draws.py.
 enum class DrawKind : uint8_t {
   chosen,
   uniform,
@@ -31,6 +31,10 @@ constexpr int kDrawColumns[kDrawKinds] = {1, 1, 1, 1, 0, 4, 4, 1, 1, 2, 1, 0};
 
 constexpr int kMaxDraws = 64, kMaxDrawNumbers = 256;  // of a launch, whose parameters take less than 4 KB
 constexpr int kMaxListedNumbers = 3072;  // of all samples of a launch, whose parameters take 32,764 bytes at most
+
+// Tries for a crop that lies in the image; tries for a number of the gamma distribution, each of which is accepted with
+// a probability above .95.
+constexpr int kCropTries = 10, kGammaTries = 8;
 
 // The draw that decides about p, and the sample that decides about p_batch.
 constexpr uint32_t kChosenDraw = 0, kBatchSample = 0xFFFFFFFF;
@@ -120,11 +124,11 @@ struct DrawnBox {
 };
 
 // Numbers: lowest and highest fraction of the area, logarithms of the lowest and highest width / height, height, width.
-// The first of ten tries that lies in the image; else the largest crop of an allowed aspect, in the center.
+// The first of the tries that lies in the image; else the largest crop of an allowed aspect, in the center.
 KV_HD DrawnBox resized_crop(DrawSource const& source, uint32_t index, double const* n) {
   double const height = n[4], width = n[5];
 #pragma unroll 1
-  for (uint32_t attempt = 0; attempt < 10; ++attempt) {
+  for (uint32_t attempt = 0; attempt < kCropTries; ++attempt) {
     PhiloxWords const words = source.words(index, attempt);
     double const area = uniform_of(words.w[0], n[0], n[1]) * (height * width),
                  aspect = exponential(uniform_of(words.w[1], n[2], n[3]));
@@ -209,7 +213,7 @@ KV_HD double log_gamma_variate(DrawSource const& source, uint32_t index, uint32_
   double const d = (alpha < 1 ? alpha + 1 : alpha) - 1 / 3.0, c = 1 / sqrt(9 * d);
   double log_v = 0, boost = 0;
 #pragma unroll 1
-  for (uint32_t attempt = 0; attempt < 8; ++attempt) {
+  for (uint32_t attempt = 0; attempt < kGammaTries; ++attempt) {
     PhiloxWords const words = source.words(index, block + attempt);
     if (attempt == 0 && alpha < 1) boost = logarithm(open_unit(words.w[3])) / alpha;
     double const x = normal_of(words.w[0], words.w[1]), root = fused(c, x, 1), v = root * root * root;

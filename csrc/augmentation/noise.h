@@ -1,5 +1,5 @@
 // Noise of images, a function of a key, the sample and the pixel: normal and uniform noise, and salt and pepper.
-// noise.py of kvision.augmentation defines them, and the numbers of NoiseForm. The words of a pixel are those of the
+// noise.py of kvision.augmentation defines them. The words of a pixel are those of the
 // block at its position / 4 in the plane. Included by noise_cpu.cpp, noise.cu and noise_op.cpp.
 #pragma once
 

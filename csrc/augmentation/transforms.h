@@ -8,11 +8,14 @@
 
 namespace kv::augmentation {
 
-// The numbers are those of KINDS in transforms.py.
 enum class TransformKind : uint8_t { affine, perspective, crop, matrix };
 constexpr int kTransformKinds = 4;
+constexpr int kAffineInputs = 9, kPerspectiveInputs = 16, kCropInputs = 7, kMatrixInputs = 9;
 KV_HD constexpr int num_inputs_of(TransformKind kind) {
-  return kind == TransformKind::perspective ? 16 : kind == TransformKind::crop ? 7 : 9;
+  return kind == TransformKind::perspective ? kPerspectiveInputs
+         : kind == TransformKind::crop      ? kCropInputs
+         : kind == TransformKind::affine    ? kAffineInputs
+                                            : kMatrixInputs;
 }
 constexpr int kMaxInputs = 16, kMaxTransforms = 16;  // of a transform, of a chain
 constexpr int kMaxTransformNumbers = kMaxInputs * kMaxTransforms;

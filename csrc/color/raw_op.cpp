@@ -15,11 +15,11 @@ void check_mosaic(char const* op, char const* name, Tensor const& x, int64_t cha
 struct RedPosition {
   int row, column;
 };
-// By the numbers of CFA in python/kvision/color/raw.py: BG, GB, RG, GR, OpenCV's names.
+// Of the color filter arrays BG, GB, RG and GR, OpenCV's names.
+constexpr RedPosition kRedPositions[] = {{0, 0}, {0, 1}, {1, 1}, {1, 0}};
 RedPosition red_position(char const* op, int64_t cfa) {
-  constexpr RedPosition positions[] = {{0, 0}, {0, 1}, {1, 1}, {1, 0}};
   KV_CHECK(cfa >= 0 && cfa < 4, op, ": cfa must be one of 0 (BG), 1 (GB), 2 (RG), 3 (GR); got ", cfa);
-  return positions[cfa];
+  return kRedPositions[cfa];
 }
 
 Tensor raw_to_rgb(Tensor const& input, int64_t cfa) {

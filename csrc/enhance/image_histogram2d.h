@@ -7,7 +7,7 @@
 
 namespace kv::enhance {
 
-// Exported graphs contain these numbers; python/kvision/enhance/histogram.py repeats them.
+// Exported graphs contain these numbers.
 enum class HistogramKernel : int { triangular, epanechnikov, uniform };
 
 template <class T>

@@ -5,7 +5,7 @@
 namespace kv::losses {
 namespace {
 
-constexpr int64_t kMaxErosions = 1000;  // python/kvision/losses/hausdorff.py has the same limit
+constexpr int64_t kMaxErosions = 1000;
 
 // Predictions (B, C, H, W) or (B, C, D, H, W) in float32 or float64, and labels (B or 1, ...), contiguous.
 struct LabelledPlanes {

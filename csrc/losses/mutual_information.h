@@ -16,7 +16,7 @@
 
 namespace kv::losses {
 
-// Exported graphs contain these numbers; python/kvision/losses/mutual_information.py repeats them.
+// Exported graphs contain these numbers.
 enum class BinKernel : int { xu, rectangular, truncated_gaussian };
 
 // Rows of samples and their mask. A stride of 0 broadcasts a single row.

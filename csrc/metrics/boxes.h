@@ -6,8 +6,7 @@
 
 namespace kv::metrics {
 
-// Two corners; the first corner and the size; the center and the size. Exported graphs contain these numbers;
-// python/kvision/metrics/boxes.py repeats them.
+// Two corners; the first corner and the size; the center and the size. Exported graphs contain these numbers.
 enum class BoxFormat : int { xyxy, xywh, cxcywh };
 
 template <class T>

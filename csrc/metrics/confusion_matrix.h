@@ -8,7 +8,7 @@
 namespace kv::metrics {
 
 // The counts; the counts divided by the sum of their row; or the intersection over union of each class. Exported graphs
-// contain these numbers; python/kvision/metrics/confusion_matrix.py repeats them.
+// contain these numbers.
 enum class ConfusionStatistic : int { counts, rates, iou };
 
 template <class T>

@@ -14,7 +14,7 @@
 
 namespace kv::metrics {
 
-// Exported graphs contain these numbers; python/kvision/metrics/pointwise.py repeats them.
+// Exported graphs contain these numbers.
 enum class PointLoss : int { charbonnier, welsch, cauchy, geman_mcclure, square, kl, js };
 constexpr int kPointLosses = 7;
 

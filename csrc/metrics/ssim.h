@@ -28,7 +28,7 @@
 namespace kv::metrics {
 
 // Windows that cross the border read reflected pixels or zeros; or no window crosses it. Exported graphs contain these
-// numbers; python/kvision/metrics/ssim.py repeats them.
+// numbers.
 enum class SsimPadding : int { reflect, constant, valid };
 
 template <class F>

@@ -43,8 +43,7 @@ inline Tensor warp_and_color(Tensor const& image, Tensor const& M, Size2d dsize,
   constexpr int64_t antialias = 0;
   plan.insert(plan.end(), {int64_t(options.mode()), detail::padding_number(options.padding_mode()),
                            int64_t(options.align_corners()), antialias});
-  constexpr int64_t matrix_kind = 3;  // transforms.py of kvision.augmentation
-  plan.insert(plan.end(), {10, matrix_kind, 0, 1, 2, 3, 4, 5, 6, 7, 8, steps});
+  plan.insert(plan.end(), {10, int64_t(ops::TransformKind::matrix), 0, 1, 2, 3, 4, 5, 6, 7, 8, steps});
   plan.insert(plan.end(), program.steps.begin(), program.steps.end());
   plan.push_back(int64_t(program.columns.size()));
   for (int64_t column : program.columns) plan.push_back(column < 0 ? -1 : column + 9);

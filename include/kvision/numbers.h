@@ -36,6 +36,7 @@ enum class CorrespondenceError : int64_t {
   sampson_transfer = 6,
   segments = 7
 };
+enum class TransformKind : int64_t { affine = 0, perspective = 1, crop = 2, matrix = 3 };
 // Filters of resize beside those of Interpolation.
 inline constexpr int64_t kPyrDown = 6, kPyrUp = 7;
 

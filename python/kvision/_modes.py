@@ -81,3 +81,68 @@ POINT_LOSS_NAMES = tuple(POINT_LOSS)
 # SsimPadding in csrc/metrics/ssim.h
 SSIM_PADDING = {"reflect": 0, "constant": 1, "valid": 2}
 SSIM_PADDING_NAMES = tuple(SSIM_PADDING)
+# CornerKind in csrc/feature/responses.h
+CORNER_KIND = {"harris": 0, "gftt": 1}
+CORNER_KIND_NAMES = tuple(CORNER_KIND)
+# MotionTaps in csrc/filters/smoothing/motion.h
+MOTION_TAPS = {"nearest": 0, "bilinear": 1, "bicubic": 2}
+MOTION_TAPS_NAMES = tuple(MOTION_TAPS)
+# HistogramKernel in csrc/enhance/image_histogram2d.h
+HISTOGRAM_KERNEL = {"triangular": 0, "epanechnikov": 1, "uniform": 2}
+HISTOGRAM_KERNEL_NAMES = tuple(HISTOGRAM_KERNEL)
+# BinKernel in csrc/losses/mutual_information.h
+BIN_KERNEL = {"xu": 0, "rectangular": 1, "truncated_gaussian": 2}
+BIN_KERNEL_NAMES = tuple(BIN_KERNEL)
+# DrawKind in csrc/augmentation/draws.h
+DRAW_KIND = {
+    "chosen": 0,
+    "uniform": 1,
+    "integer": 2,
+    "exponential_of_uniform": 3,
+    "permutation": 4,
+    "resized_crop": 5,
+    "rectangle": 6,
+    "beta": 7,
+    "normal": 8,
+    "uniform_and_affine": 9,
+    "uniform_of_sample": 10,
+    "rectangles": 11,
+}
+DRAW_KIND_NAMES = tuple(DRAW_KIND)
+# TransformKind in csrc/augmentation/transforms.h
+TRANSFORM_KIND = {"affine": 0, "perspective": 1, "crop": 2, "matrix": 3}
+TRANSFORM_KIND_NAMES = tuple(TRANSFORM_KIND)
+# Operation in csrc/augmentation/auto/operations.h
+POLICY_OPERATION = {
+    "identity": 0,
+    "auto_contrast": 1,
+    "equalize": 2,
+    "invert": 3,
+    "rotate": 4,
+    "posterize": 5,
+    "solarize": 6,
+    "solarize_add": 7,
+    "color": 8,
+    "contrast": 9,
+    "brightness": 10,
+    "sharpness": 11,
+    "shear_x": 12,
+    "shear_y": 13,
+    "translate_x": 14,
+    "translate_y": 15,
+    "translate_x_pixels": 16,
+    "translate_y_pixels": 17,
+}
+POLICY_OPERATION_NAMES = tuple(POLICY_OPERATION)
+# NodeKind in csrc/augmentation/preimages/preimages.h
+NODE_KIND = {"outside": 0, "inside": 1, "pixel": 2}
+NODE_KIND_NAMES = tuple(NODE_KIND)
+# PositionKind in csrc/augmentation/preimages/preimages.h
+POSITION_KIND = {"invisible": 0, "nearest_pixel": 1, "exact": 2}
+POSITION_KIND_NAMES = tuple(POSITION_KIND)
+# ChromaSite in csrc/color/frames.h
+CHROMA_SITE = {"nearest": 0, "cosited": 1, "between": 2}
+CHROMA_SITE_NAMES = tuple(CHROMA_SITE)
+# MixKind in csrc/augmentation/mixing/pieces.h
+MIX_KIND = {"mixup": 0, "cutmix": 1, "patch_mix": 2, "jigsaw": 3, "mosaic": 4}
+MIX_KIND_NAMES = tuple(MIX_KIND)

@@ -12,7 +12,6 @@
 
 namespace kv::augmentation {
 
-// The numbers are those of OPERATIONS in operation_table.py.
 enum class Operation : int {
   none = -1,
   identity,

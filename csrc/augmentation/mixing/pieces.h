@@ -49,7 +49,7 @@ struct PastePieces {
 KV_KERNEL(paste_pieces, PastePieces)
 KV_KERNEL(paste_pieces_backward, PastePieces)
 
-// The pieces of mixing augmentations from what was drawn. MIX_KINDS in pieces.py has the numbers.
+// The pieces of mixing augmentations from what was drawn.
 enum class MixKind : int { mixup, cutmix, patch_mix, jigsaw, mosaic };
 constexpr int kMixKinds = 5;
 

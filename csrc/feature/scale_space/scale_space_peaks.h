@@ -22,7 +22,7 @@
 namespace kv::feature {
 
 constexpr int64_t kPeakPixels = 1 << 16;  // of a band, about
-constexpr int kMaxOctaves = 16;           // MAX_OCTAVES in python/kvision/feature/scale_space/scale_space_features.py
+constexpr int kMaxOctaves = 16;
 
 template <class F>
 struct ScaleSpacePeak {

@@ -20,44 +20,44 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from kvision._limits import BATCH_SAMPLE, CHOSEN_DRAW, CROP_TRIES, DRAW_COLUMNS, DRAW_NUMBERS, GAMMA_TRIES
 from kvision._limits import MAX_DRAW_NUMBERS as MAX_NUMBERS  # noqa: F401
 from kvision._limits import MAX_DRAWS as MAX_DRAWS
+from kvision._modes import DRAW_KIND
 from kvision._ops import register
 from kvision.augmentation.keys import flatten_draws
 
 # --- kinds ----------------------------------------------------------------------------------------------------------
+#
+# Their numbers, and the columns of those that give several:
+#
+#   chosen                  1 for samples that are chosen, else 0
+#   uniform                 lowest, highest, identity
+#   integer                 lowest, step, count, identity: one of lowest + k step for k in 0 .. count - 1
+#   exponential_of_uniform  logarithms of lowest and highest, identity
+#   permutation             n; for samples not chosen: first, step of what stands instead
+#   resized_crop            lowest and highest area, logarithms of both aspects, height, width: x, y, w, h
+#   rectangle               lowest and highest area, lowest and highest aspect, height, width: x, y, w, h
+#   beta                    alpha, beta, identity
+#   normal                  mean, standard deviation, identity
+#   uniform_and_affine      lowest, highest, scale, offset, identity of a real number v: v and scale * v + offset
+#   uniform_of_sample       as uniform, and another one for each sample also under same_on_batch
+#   rectangles              four times the most rectangles, the fewest, lowest and highest height, whether these are pixels and
+#                           not fractions, the same of widths, height, width: x, y, w, h of each. Those behind a random number
+#                           have no area.
 
 
 class Kind(NamedTuple):
-    """A kind of draw: its number in plans (csrc/augmentation/draws.h), how many numbers it takes and columns it gives."""
+    """A kind of draw: its number in plans, how many numbers it takes and columns it gives."""
 
     number: int
     numbers: int
     columns: int  # 0: as many as its first number says
 
 
-KINDS = {
-    "chosen": Kind(0, 0, 1),  # 1 for samples that are chosen, else 0
-    "uniform": Kind(1, 3, 1),  # lowest, highest, identity
-    "integer": Kind(2, 4, 1),  # lowest, step, count, identity: one of lowest + k step for k in 0 .. count - 1
-    "exponential_of_uniform": Kind(3, 3, 1),  # logarithms of lowest and highest, identity
-    "permutation": Kind(4, 3, 0),  # n; for samples not chosen: first, step of what stands instead
-    "resized_crop": Kind(5, 6, 4),  # lowest and highest area, logarithms of both aspects, height, width: x, y, w, h
-    "rectangle": Kind(6, 6, 4),  # lowest and highest area, lowest and highest aspect, height, width: x, y, w, h
-    "beta": Kind(7, 3, 1),  # alpha, beta, identity
-    "normal": Kind(8, 3, 1),  # mean, standard deviation, identity
-    # Lowest, highest, scale, offset, identity of a real number v: v and scale * v + offset.
-    "uniform_and_affine": Kind(9, 5, 2),
-    "uniform_of_sample": Kind(10, 3, 1),  # uniform, and another one for each sample also under same_on_batch
-    # Four times the most rectangles, the fewest, lowest and highest height, whether these are pixels and not fractions, the same
-    # of widths, height, width: x, y, w, h of each. Those behind a random number have no area.
-    "rectangles": Kind(11, 10, 0),
-}
+KINDS = {name: Kind(number, DRAW_NUMBERS[number], DRAW_COLUMNS[number]) for name, number in DRAW_KIND.items()}
 _NAMES = tuple(KINDS)
 SIZED = ("resized_crop", "rectangle", "rectangles")  # the last two of their numbers are the size of the image
-CHOSEN, BATCH_SAMPLE = 0, 0xFFFFFFFF  # the draw that decides about p; the sample that decides about p_batch
-TRIES = 10  # for a crop that lies in the image
-GAMMA_TRIES = 8  # each is accepted with a probability above .95
 
 
 class Draw(NamedTuple):
@@ -171,7 +171,7 @@ def is_chosen_batch(key: int, position: int, p_batch: float) -> bool:
     """Whether a batch is augmented; for augmentations whose result has another size then."""
     if p_batch in (0.0, 1.0):
         return p_batch == 1.0
-    return unit(philox(key, (CHOSEN, 0, BATCH_SAMPLE, position))[0]) < p_batch
+    return unit(philox(key, (CHOSEN_DRAW, 0, BATCH_SAMPLE, position))[0]) < p_batch
 
 
 # --- the operator ---------------------------------------------------------------------------------------------------
@@ -198,7 +198,7 @@ def _reference(
         )
         source = of_sample._replace(sample=torch.zeros_like(sample)) if same else of_sample
         whole_batch = source._replace(sample=torch.full_like(sample, BATCH_SAMPLE))
-        chosen = (unit(source.words(CHOSEN)[0]) < p) & (unit(whole_batch.words(CHOSEN)[0]) < p_batch)
+        chosen = (unit(source.words(CHOSEN_DRAW)[0]) < p) & (unit(whole_batch.words(CHOSEN_DRAW)[0]) < p_batch)
         for index, kind in enumerate(kinds, start=first):
             name = _NAMES[kind]
             rest = numbers[number : number + KINDS[name].numbers]
@@ -266,7 +266,7 @@ def _resized_crop(words: _Words, numbers: Sequence[float]) -> _Columns:
     w, h = (torch.full_like(unit(words()[0]), side) for side in _largest_crop(height, width, log_min, log_max))
     x, y = ((width - w) / 2).floor(), ((height - h) / 2).floor()
     is_drawn = torch.zeros_like(w, dtype=torch.bool)
-    for attempt in range(TRIES):
+    for attempt in range(CROP_TRIES):
         a, b, c, d = words(attempt)
         area, aspect = _between(a, min_area, max_area) * (height * width), _between(b, log_min, log_max).exp()
         new_w, new_h = (area * aspect).sqrt().round(), (area / aspect).sqrt().round()

@@ -15,6 +15,11 @@ from torch import Tensor
 
 from kvision._clamp import clamp
 from kvision._constants import constant
+from kvision._limits import NOISE_BY_CHANNEL as BY_CHANNEL
+from kvision._limits import NOISE_CLAMP as CLAMP
+from kvision._limits import NOISE_MULTIPLY as MULTIPLY
+from kvision._limits import NOISE_RANDOM as RANDOM
+from kvision._limits import NOISE_SHARED as SHARED
 from kvision._ops import Operator, match_layout, register, saturate_to_byte
 from kvision.augmentation.draws import MAX_DRAWS, philox, unit
 from kvision.augmentation.keys import Keys, flatten_draws
@@ -24,10 +29,9 @@ from kvision.augmentation.keys import Keys, flatten_draws
 # keys, or None; chosen (B,) float32, 0 for samples that stay as they are, or None; and the plan: index of the key, position
 # in the chain, index of the draw, same_on_batch and, where it is not 0, the form, a sum of flags (csrc/augmentation/noise.h).
 _FLATTEN = flatten_draws(keys=2)
-# Of normal and uniform noise: images are multiplied by it; results are clamped to [0, 1]; all channels share it.
-MULTIPLY, CLAMP, SHARED = 1, 2, 4
-# Of pixels that are hit: those of each channel; they get uniform noise, that of the next draw, in place of salt and pepper.
-BY_CHANNEL, RANDOM = 8, 16
+# Flags. Of normal and uniform noise: MULTIPLY, images are multiplied by it; CLAMP, results are clamped to [0, 1]; SHARED, all
+# channels share it. Of pixels that are hit: BY_CHANNEL, those of each channel; RANDOM, they get uniform noise, that of the next
+# draw, in place of salt and pepper.
 
 
 def _form(plan: Sequence[int]) -> int:

@@ -14,12 +14,13 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from kvision._limits import NEAR_PIXEL
+from kvision._modes import NODE_KIND, POSITION_KIND
 from kvision._ops import register
 
-OUTSIDE, INSIDE, PIXEL = 0, 1, 2  # kinds of nodes: outside of what the result shows, inside, a pixel that it shows
-INVISIBLE, NEAREST_PIXEL, EXACT = 0, 1, 2  # kinds of positions
+OUTSIDE, INSIDE, PIXEL = NODE_KIND.values()  # outside of what the result shows, inside, a pixel that it shows
+INVISIBLE, NEAREST_PIXEL, EXACT = POSITION_KIND.values()
 _TOLERANCE = 2e-3  # of a position in a cell, in fractions of its size
-_NEAR = 1.5  # pixels from the one that reads nearest to a point to an exact position
 
 # --- the operators --------------------------------------------------------------------------------------------------
 
@@ -132,7 +133,7 @@ def _points_reference(
                 keys = torch.where(counts, distance, torch.inf).flatten()
                 best.append((keys.amin(), exact.flatten(0, 2)[keys.argmin()]))
             (inner, inner_position), (outer, outer_position) = best
-            is_exact, is_read = inner <= _NEAR**2, inner.isfinite() & has_pixel
+            is_exact, is_read = inner <= NEAR_PIXEL**2, inner.isfinite() & has_pixel
             outside = torch.where(has_pixel, pixel + point - coordinates[b].flatten(0, 1)[at], torch.nan)
             outside = torch.where(outer.isfinite(), outer_position, outside)
             positions[b, n] = torch.where(is_exact, inner_position, torch.where(is_read, pixel, outside))

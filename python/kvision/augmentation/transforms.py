@@ -7,17 +7,16 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from kvision._limits import MAX_TRANSFORMS
+from kvision._limits import AFFINE_INPUTS, CROP_INPUTS, MATRIX_INPUTS, MAX_TRANSFORMS, PERSPECTIVE_INPUTS
+from kvision._modes import TRANSFORM_KIND, TRANSFORM_KIND_NAMES
 from kvision._ops import register, vjp
 from kvision.augmentation.columns import Input, Names, bind, split_inputs
 from kvision.core.exceptions import ValueCheckError
 from kvision.geometry.conversions.angles import cos_sin
 from kvision.geometry.transform.matrices import from_unit_square, matrix_of
 
-# Kinds of transforms by name, as Transform says: number (csrc/augmentation/transforms.h) and inputs. All map image pixels to
-# result pixels.
-KINDS = {"affine": (0, 9), "perspective": (1, 16), "crop": (2, 7), "matrix": (3, 9)}
-_NAMES = tuple(KINDS)
+# How many inputs a kind of transform has, which Transform explains. All map image pixels to result pixels.
+INPUTS = {"affine": AFFINE_INPUTS, "perspective": PERSPECTIVE_INPUTS, "crop": CROP_INPUTS, "matrix": MATRIX_INPUTS}
 
 
 class Transform:
@@ -45,8 +44,8 @@ class Transform:
     """
 
     def __init__(self, kind: str, *inputs: Input) -> None:
-        if kind not in KINDS:
-            raise ValueCheckError(f"Transform: expected kind to be one of {', '.join(KINDS)}, got {kind!r}")
+        if kind not in TRANSFORM_KIND:
+            raise ValueCheckError(f"Transform: expected kind to be one of {', '.join(TRANSFORM_KIND)}, got {kind!r}")
         self.kind, self.inputs = kind, inputs
 
     def __repr__(self) -> str:
@@ -84,7 +83,7 @@ class Transform:
     def _bound(self, names: Names) -> Transform:
         """The same transform with columns in place of their names."""
         transform = Transform(self.kind, *bind(self.inputs, names))
-        count = KINDS[self.kind][1]
+        count = INPUTS[self.kind]
         if len(transform.inputs) != count:
             raise ValueCheckError(
                 f"Transform: expected {count} inputs of {self.kind!r}, got {len(transform.inputs)} of {self!r}"
@@ -118,8 +117,8 @@ def _reference(columns: Tensor, plan: Sequence[int], numbers: Sequence[float]) -
     columns = columns.double()
     at, number = 0, 0
     while at < len(plan):
-        name = _NAMES[plan[at]]
-        count = KINDS[name][1]
+        name = TRANSFORM_KIND_NAMES[plan[at]]
+        count = INPUTS[name]
         inputs = [
             columns[:, c] if c >= 0 else columns.new_full((columns.shape[0],), x)
             for c, x in zip(plan[at + 1 : at + 1 + count], numbers[number : number + count])
@@ -204,7 +203,7 @@ def make_plan(transforms: Sequence[Transform]) -> tuple[list[int], list[float]]:
     numbers: list[float] = []
     for transform in transforms:
         own, columns = split_inputs(transform.inputs)
-        plan += [KINDS[transform.kind][0], *columns]
+        plan += [TRANSFORM_KIND[transform.kind], *columns]
         numbers += own
     return plan, numbers
 

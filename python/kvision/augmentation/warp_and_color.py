@@ -68,7 +68,7 @@ def _parse(plan: Sequence[int], numbers: Sequence[float]) -> _Plan:
         lists.append(rest[1 : 1 + count])
         rest = rest[1 + count :]
     chain, steps, columns = lists
-    counts = [inputs for _, inputs in transforms.KINDS.values()]
+    counts = list(transforms.INPUTS.values())
     at = count = 0
     while at < len(chain):
         count += counts[chain[at]]

@@ -10,7 +10,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from kvision import _check
-from kvision._modes import DTYPE
+from kvision._modes import CHROMA_SITE, DTYPE
 from kvision._ops import register, saturate_to_byte
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 
@@ -35,7 +35,7 @@ _DTYPES = tuple(getattr(torch, name) for name in DTYPE)
 
 # The weight of luma pixels 2 c - 1 to 2 c + 2 for chroma sample c along an axis, by where the sample is: `nearest` repeats it,
 # `cosited` samples are at pixel 2 c, `between` ones in the middle of pixels 2 c and 2 c + 1.
-_NEAREST, _COSITED, _BETWEEN = 0, 1, 2
+_NEAREST, _COSITED, _BETWEEN = CHROMA_SITE.values()
 
 
 def _axes_of(chroma: int) -> tuple[int, int]:

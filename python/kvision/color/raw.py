@@ -11,6 +11,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._dtype import pixels
 from kvision._leading import apply_on_batch
+from kvision._limits import RED_POSITIONS
 from kvision._modules import PLANE, FunctionModule
 from kvision._ops import register, with_kernel_casts
 from kvision.core.border import pad
@@ -36,7 +37,7 @@ class CFA(Enum):
 
 
 # (row, column) of red in a cell; blue is diagonal to it, green at the two other pixels.
-_RED = {CFA.BG: (0, 0), CFA.GB: (0, 1), CFA.RG: (1, 1), CFA.GR: (1, 0)}
+_RED = dict(zip(CFA, RED_POSITIONS))
 
 
 def _sites(x: Tensor, row: int, column: int) -> Tensor:

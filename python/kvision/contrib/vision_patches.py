@@ -14,6 +14,7 @@ from torch.compiler import is_compiling
 
 from kvision import _check
 from kvision._dtype import compute_dtype
+from kvision._limits import MAX_PATCH_CHANNELS
 from kvision._modes import BORDER, INTERPOLATION
 from kvision._ops import FastPath
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
@@ -66,8 +67,8 @@ LAYOUTS: dict[PatchLayout, _Layout] = {
 }
 _DTYPES = (torch.float32, torch.bfloat16, torch.float16)
 _LONGEST_ASPECT = 200  # of images for 'qwen2_vl'
-# What the kernel serves: channels, pixels of a side of a patch, how much an image shrinks, and bytes of the image behind one patch.
-MAX_CHANNELS, MAX_PATCH, MAX_SHRINK, MAX_BYTES = 4, 64, 32, 96_000
+# What the kernel serves: pixels of a side of a patch, how much an image shrinks, and bytes of the image behind one patch.
+MAX_PATCH, MAX_SHRINK, MAX_BYTES = 64, 32, 96_000
 
 
 class _Program(NamedTuple):
@@ -236,7 +237,7 @@ def _serves(parts: list[Tensor], sizes: list[tuple[int, int]], program: _Program
     if not _vision_patches.serves(first) or program.dtype == torch.float16:
         return False
     channels, wants_gradient = first.shape[1], is_grad_enabled()
-    if channels > MAX_CHANNELS or patch > MAX_PATCH:
+    if channels > MAX_PATCH_CHANNELS or patch > MAX_PATCH:
         return False
     row_bytes = channels * patch * (patch + 4) * first.element_size()
     for x, (height, width) in zip(parts, sizes):

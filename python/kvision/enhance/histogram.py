@@ -13,12 +13,13 @@ from torch import Tensor
 from kvision import _check
 from kvision._clamp import clamp
 from kvision._dtype import as_dtype, compute_dtype
+from kvision._modes import HISTOGRAM_KERNEL, HISTOGRAM_KERNEL_NAMES
 from kvision._ops import linearize, register, vjp
 from kvision._torch_compat import in_function_transform, is_tracing
 from kvision.core.exceptions import ShapeError, ValueCheckError
 
 Kernel: TypeAlias = Literal["triangular", "gaussian", "uniform", "epanechnikov"]
-_KERNELS: dict[Kernel, Callable[[Tensor], Tensor]] = {
+_KERNELS: dict[str, Callable[[Tensor], Tensor]] = {
     "triangular": lambda u: clamp(1 - u, 0),
     "gaussian": lambda u: torch.exp(-0.5 * u * u),
     "uniform": lambda u: (u <= 1).to(u.dtype),
@@ -203,17 +204,10 @@ def _total(parts: Sequence[Tensor]) -> Tensor:
     return functools.reduce(torch.add, parts)
 
 
-_GRID_KERNELS: tuple[Kernel, ...] = (
-    "triangular",
-    "epanechnikov",
-    "uniform",
-)  # by the numbers of HistogramKernel in csrc
-
-
 def _reference_grid(x: Tensor, low: float, width: float, bins: int, kernel: int) -> Tensor:
     """Compute kernel_counts of (N, P) for centers one bandwidth apart and a kernel that is 0 beyond one bandwidth:
     a value adds to at most three bins."""
-    shape = _KERNELS[_GRID_KERNELS[kernel]]
+    shape = _KERNELS[HISTOGRAM_KERNEL_NAMES[kernel]]
     near = ((x.detach() - low) / width - 0.5).round()
     counts = torch.zeros_like(x[:, :1]).expand(-1, bins)
     for offset in (-1, 0, 1):
@@ -385,7 +379,7 @@ def image_histogram2d(
         middles = low + width * (torch.arange(n_bins, device=x.device, dtype=dtype) + 0.5)
         counts = kernel_counts(x, middles, x.new_full((), width), kernel)
     else:
-        counts = _image_histogram2d(x, low, width, n_bins, _GRID_KERNELS.index(kernel))
+        counts = _image_histogram2d(x, low, width, n_bins, HISTOGRAM_KERNEL[kernel])
     counts = counts.reshape(*image.shape[:-2], counts.shape[1])
     if not return_pdf:
         return counts, torch.zeros_like(counts)

@@ -12,6 +12,7 @@ from kvision import _check
 from kvision._clamp import clamp
 from kvision._constants import constant
 from kvision._dtype import as_dtype, compute_dtype
+from kvision._limits import JPEG_HIGH_CHROMINANCE, JPEG_LOW_CHROMINANCE, JPEG_LUMINANCE
 from kvision._modules import IMAGE, FunctionModule, Sample
 from kvision._ops import match_layout, register
 from kvision.color import rgb_to_ycbcr, ycbcr_to_rgb
@@ -20,22 +21,10 @@ from kvision.core.exceptions import ShapeError, ValueCheckError
 from kvision.enhance.batch import as_batch, colors
 
 # The example tables of ISO/IEC 10918-1, annex K, which most encoders scale by their quality.
-_LUMINANCE = (
-    (16, 11, 10, 16, 24, 40, 51, 61),
-    (12, 12, 14, 19, 26, 58, 60, 55),
-    (14, 13, 16, 24, 40, 57, 69, 56),
-    (14, 17, 22, 29, 51, 87, 80, 62),
-    (18, 22, 37, 56, 68, 109, 103, 77),
-    (24, 35, 55, 64, 81, 104, 113, 92),
-    (49, 64, 78, 87, 103, 121, 120, 101),
-    (72, 92, 95, 98, 112, 100, 103, 99),
-)
+_LUMINANCE = tuple(JPEG_LUMINANCE[8 * i : 8 * i + 8] for i in range(8))
 _CHROMINANCE = (
-    (17, 18, 24, 47, 99, 99, 99, 99),
-    (18, 21, 26, 66, 99, 99, 99, 99),
-    (24, 26, 56, 99, 99, 99, 99, 99),
-    (47, 66, 99, 99, 99, 99, 99, 99),
-    *((99,) * 8,) * 4,
+    *((*JPEG_LOW_CHROMINANCE[4 * i : 4 * i + 4], *(JPEG_HIGH_CHROMINANCE,) * 4) for i in range(4)),
+    *((JPEG_HIGH_CHROMINANCE,) * 8,) * 4,
 )
 
 

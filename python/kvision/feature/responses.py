@@ -11,7 +11,8 @@ from torch import Tensor
 from kvision import _check
 from kvision._choices import DerivativeMode
 from kvision._dtype import as_dtype, compute_dtype, floats
-from kvision._modes import DERIVATIVE_MODE, DERIVATIVE_MODE_NAMES
+from kvision._limits import COARSE_REACH, CORNER_REACH, FINE_REACH
+from kvision._modes import CORNER_KIND, DERIVATIVE_MODE, DERIVATIVE_MODE_NAMES
 from kvision._modules import FunctionModule
 from kvision._ops import register, transpose, vjp
 from kvision.core.exceptions import ShapeError
@@ -35,8 +36,8 @@ __all__ = [
 
 _MODES = get_args(DerivativeMode)
 
-_WINDOW, _SIGMA = 7, 1.0
-_HARRIS, _GFTT = 0, 1  # numbers that exported graphs contain
+_WINDOW, _SIGMA = 2 * CORNER_REACH + 1, 1.0
+_HARRIS, _GFTT = CORNER_KIND["harris"], CORNER_KIND["gftt"]
 
 
 def _corner_reference(
@@ -108,7 +109,10 @@ _hessian_response = register(
 register("hessian_response_backward", vjp(_hessian_reference), layout_of=1)
 
 
-_DOG_WINDOWS = 9, 13  # sizes of windows that the kernel supports: those of the default sigmas
+_DOG_WINDOWS = (
+    2 * FINE_REACH + 1,
+    2 * COARSE_REACH + 1,
+)  # sizes of windows that the kernel supports: those of the default sigmas
 
 
 def _dog_reference(x: Tensor, sigma1: float, sigma2: float) -> Tensor:

@@ -17,6 +17,7 @@ import torch
 from torch import Tensor, nn
 
 from kvision import _check
+from kvision._limits import RANSAC_CHUNK, RANSAC_DEVIATIONS
 from kvision._modes import MODEL, MODEL_NAMES
 from kvision._ops import register
 from kvision.core.exceptions import ShapeError, ValueCheckError
@@ -64,7 +65,6 @@ _BATCH = 2048  # hypotheses of one `max_iter` round for batch_size "auto"
 _FIRST = 2**14  # hypotheses of all pairs in the first round
 _SAMPLES = 2**18  # of all pairs in one round, which bounds the memory of their models
 _PAIRS = 512  # of points outside of a plane
-_CHUNK, _DEVIATIONS = 64, 2.0  # kChunk and kDeviations of csrc/geometry/ransac.h
 
 
 def _consensus_reference(
@@ -80,12 +80,12 @@ def _consensus_reference(
     squares = thresholds.square()[:, None, None]
     inliers = errors <= squares
     gains = torch.stack([torch.where(inliers, 1 - errors / squares, 0), inliers.to(errors.dtype)], -1)
-    seen = _CHUNK * torch.arange(1, errors.shape[-1] // _CHUNK + 1, device=errors.device)
+    seen = RANSAC_CHUNK * torch.arange(1, errors.shape[-1] // RANSAC_CHUNK + 1, device=errors.device)
     if not len(seen):
         return gains.sum(-2)
     sums = gains.cumsum(-2)[..., seen - 1, :]
     mean = least[:, None] * (seen / errors.shape[-1])
-    is_given_up = sums[..., 0] < (mean - _DEVIATIONS * mean.sqrt())[:, None]
+    is_given_up = sums[..., 0] < (mean - RANSAC_DEVIATIONS * mean.sqrt())[:, None]
     first = is_given_up.to(torch.uint8).argmax(-1, keepdim=True)[..., None].expand(*models.shape[:2], 1, 2)
     return torch.where(is_given_up.any(-1, keepdim=True), sums.gather(2, first)[:, :, 0], gains.sum(-2))
 

@@ -9,12 +9,11 @@ from torch import Tensor
 from kvision import _check
 from kvision._choices import Reduction
 from kvision._dtype import as_dtype, compute_dtype
+from kvision._limits import MAX_EROSIONS
 from kvision._modules import IMAGE, VOLUME, FunctionModule, Sample
 from kvision._ops import not_empty, register, vjp
 from kvision.core.exceptions import ShapeError, ValueCheckError
 from kvision.losses.reduction import selected
-
-_MAX_EROSIONS = 1000  # limit of the kernels
 
 
 def _reference(pred: Tensor, target: Tensor, alpha: float, k: int, summed: bool) -> Tensor:
@@ -52,8 +51,8 @@ def _fake(pred: Tensor, target: Tensor, alpha: float, k: int, summed: bool) -> T
 
 def _supports(pred: Tensor, target: Tensor, alpha: float, k: int, summed: bool) -> str | None:
     """Predictions have at least one element, and there are at most 1000 erosions."""
-    if k > _MAX_EROSIONS:
-        return f"there is no kernel for {k} erosions, only for up to {_MAX_EROSIONS}"
+    if k > MAX_EROSIONS:
+        return f"there is no kernel for {k} erosions, only for up to {MAX_EROSIONS}"
     return not_empty(pred)
 
 

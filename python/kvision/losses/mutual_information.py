@@ -11,6 +11,7 @@ from torch import Tensor, nn
 
 from kvision import _check
 from kvision._dtype import compute_dtype
+from kvision._modes import BIN_KERNEL
 from kvision._ops import register
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 
@@ -29,7 +30,7 @@ class MIKernel(Enum):
     truncated_gaussian = "truncated_gaussian"
 
 
-_KERNELS = (MIKernel.xu, MIKernel.rectangular, MIKernel.truncated_gaussian)  # by the numbers of BinKernel in csrc
+_KERNELS = tuple(map(MIKernel, BIN_KERNEL))
 
 
 def _weights(kernel: int, x: Tensor, radius: float) -> Tensor:

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 import kvision.augmentation as A
-from kvision.augmentation.mixing.pieces import MIX_KINDS, make_piece, mix_pieces, paste_pieces
+from kvision.augmentation.mixing.pieces import MIX_KIND, make_piece, mix_pieces, paste_pieces
 from op_tests import OpTests, assert_close
 from point_op_tests import Call, PointOpTests, vector
 
@@ -95,7 +95,7 @@ CLASSES = {
 }
 
 
-@pytest.mark.parametrize("kind", MIX_KINDS)
+@pytest.mark.parametrize("kind", MIX_KIND)
 def test_pieces_of_the_kernel_are_those_of_the_parameters(kind, device):
     """As the reference of `mix_pieces` has them, in every entry."""
     mix, x = CLASSES[kind], torch.rand(7, 1, 12, 18, device=device)
@@ -110,11 +110,11 @@ def _arguments(mix, execution):
     span, shape = execution.columns.span, execution.shape
     sizes = [*grid, *shape[-2:], *mix._output_size(shape)]
     chosen = span.first if span.has_chosen else -1
-    return execution.columns.drawn, [MIX_KINDS[kind], span.first_value, chosen, count, *sizes], numbers
+    return execution.columns.drawn, [MIX_KIND[kind], span.first_value, chosen, count, *sizes], numbers
 
 
 @pytest.mark.native
-@pytest.mark.parametrize("kind", MIX_KINDS)
+@pytest.mark.parametrize("kind", MIX_KIND)
 def test_a_mix_is_a_few_launches(kind):
     """Draws, pieces and images are three operators, however many samples, windows and cells there are."""
     mix, x = CLASSES[kind], torch.rand(7, 3, 9, 14) if kind == "mosaic" else torch.rand(7, 3, 12, 18)

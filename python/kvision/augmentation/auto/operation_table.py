@@ -19,6 +19,7 @@ from torch import Tensor
 
 from kvision import enhance
 from kvision._constants import constant
+from kvision._modes import POLICY_OPERATION
 from kvision._ops import FastPath, behind_grad, register, vjp
 from kvision.augmentation.columns import name_columns
 from kvision.augmentation.drawn_pass import COMPUTED_IN_FLOAT32
@@ -36,27 +37,15 @@ class Operation(NamedTuple):
     neutral: float | None = None
 
 
-_NAMES = {
-    "identity": None,
-    "auto_contrast": None,
-    "equalize": None,
-    "invert": None,
-    "rotate": 0.0,  # degrees, counter-clockwise
-    "posterize": None,  # bits that are kept
-    "solarize": None,  # threshold
-    "solarize_add": None,  # what is added before values of at least 0.5 are inverted
-    "color": 1.0,  # factors: 0 for gray, mean gray, black, smooth
-    "contrast": 1.0,
-    "brightness": 1.0,
-    "sharpness": 1.0,
-    "shear_x": 0.0,  # tangents of the angles
-    "shear_y": 0.0,
-    "translate_x": 0.0,  # fractions of width and height
-    "translate_y": 0.0,
-    "translate_x_pixels": 0.0,
-    "translate_y_pixels": 0.0,
+# Those of `rotate` are degrees, counter-clockwise; of shears tangents of the angles; of translations fractions of width and
+# height; of `color`, `contrast`, `brightness` and `sharpness` factors: 0 for gray, mean gray, black, smooth. `posterize` has the
+# bits that are kept, `solarize` the threshold, `solarize_add` what is added before values of at least 0.5 are inverted.
+_NEUTRAL = {
+    **dict.fromkeys(("rotate", "shear_x", "shear_y"), 0.0),
+    **dict.fromkeys(("translate_x", "translate_y", "translate_x_pixels", "translate_y_pixels"), 0.0),
+    **dict.fromkeys(("color", "contrast", "brightness", "sharpness"), 1.0),
 }
-OPERATIONS = {name: Operation(number, neutral) for number, (name, neutral) in enumerate(_NAMES.items())}
+OPERATIONS = {name: Operation(number, _NEUTRAL.get(name)) for name, number in POLICY_OPERATION.items()}
 
 _GEOMETRIC = (
     "rotate",

@@ -17,7 +17,7 @@ from kvision.augmentation.engine import AugmentationBase2D, Execution, Params, r
 from kvision.augmentation.keys import Seed
 from kvision.augmentation.labels import BOX_FORMATS, parse_data_keys
 from kvision.augmentation.mixing.pieces import (
-    MIX_KINDS,
+    MIX_KIND,
     cutmix_pieces,
     jigsaw_pieces,
     mix_pieces,
@@ -239,11 +239,11 @@ class MixAugmentationBaseV2(AugmentationBase2D, keeps_contract=True):
         span, shape = columns.span, execution.shape
         chosen = span.first if span.has_chosen else -1
         sizes = [*grid, *shape[-2:], *self._output_size(shape)]
-        pieces: Tensor = mix_pieces(columns.drawn, [MIX_KINDS[kind], span.first_value, chosen, count, *sizes], numbers)
+        pieces: Tensor = mix_pieces(columns.drawn, [MIX_KIND[kind], span.first_value, chosen, count, *sizes], numbers)
         return pieces
 
     def _mix_plan(self, shape: Sequence[int]) -> tuple[str, int, tuple[int, int], list[float]] | None:
-        """The kind of `MIX_KINDS`, how many pieces, rows and columns, and numbers; None for classes without pieces."""
+        """The kind of `MIX_KIND`, how many pieces, rows and columns, and numbers; None for classes without pieces."""
         return None
 
     def _output_size(self, shape: Sequence[int]) -> list[int]:

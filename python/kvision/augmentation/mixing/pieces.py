@@ -15,12 +15,9 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from kvision._modes import MIX_KIND
 from kvision._ops import match_layout, register
 from kvision.augmentation.random_generator import mix as drawn
-
-# The numbers of MixKind in pieces.h.
-MIX_KINDS = {name: i for i, name in enumerate(("mixup", "cutmix", "patch_mix", "jigsaw", "mosaic"))}
-
 
 # --- from partners, windows and weights -----------------------------------------------------------------------------
 
@@ -79,20 +76,20 @@ def mosaic_pieces(
 def _mix_reference(columns: Tensor, plan: Sequence[int], numbers: Sequence[float]) -> Tensor:
     kind, first, chosen, count, rows, across, height, width, h, w = plan
     values = columns[:, first:]
-    if kind == MIX_KINDS["mixup"]:
+    if kind == MIX_KIND["mixup"]:
         return mixup_pieces(drawn.partners(values[:, 0]), values[:, 1], height, width)
-    if kind == MIX_KINDS["cutmix"]:
+    if kind == MIX_KIND["cutmix"]:
         low, high = numbers
         rounds = []
         for order, kept, u, v in values[:, : 4 * count].unflatten(1, (count, 4)).permute(1, 2, 0):
             window = drawn.cutmix_window(kept, u, v, low, high, height, width)
             rounds.append((drawn.partners(order), window))
         return cutmix_pieces(rounds)
-    if kind == MIX_KINDS["patch_mix"]:
+    if kind == MIX_KIND["patch_mix"]:
         corner = values[:, 1:3].long()
         window = torch.cat([corner, corner + torch.tensor([across, rows], device=corner.device)], 1)
         return cutmix_pieces([(drawn.partners(values[:, 0]), window)])
-    if kind == MIX_KINDS["jigsaw"]:
+    if kind == MIX_KIND["jigsaw"]:
         order = drawn.jigsaw_order(values[:, :count], bool(numbers[0]))
         pieces = jigsaw_pieces(order, (rows, across), height, width)
     else:

@@ -12,6 +12,7 @@ from kvision import _check
 from kvision._choices import Border, Interpolation, Linear
 from kvision._clamp import clamp
 from kvision._dtype import as_dtype, compute_dtype
+from kvision._modes import MOTION_TAPS, MOTION_TAPS_NAMES
 from kvision._modules import VOLUME, FunctionModule
 from kvision._ops import no_derivative, register
 from kvision._torch_compat import full
@@ -150,7 +151,6 @@ def motion_blur3d(
     return filter_volumes("motion_blur3d", input, kernel, border_type, False, "corr")
 
 
-_MODES: tuple[Interpolation, ...] = ("nearest", "bilinear", "bicubic")  # by the numbers of MotionTaps in csrc
 # The taps around a position, as offsets from its whole part, and the weight of a tap at distance d from it; positions
 # are whole for 'nearest'.
 _TAPS = {"nearest": (0,), "bilinear": (0, 1), "bicubic": (-1, 0, 1, 2)}
@@ -177,16 +177,16 @@ def _motion_kernel(
     """(B, kernel_size, ...): every pixel of the kernel reads its weight on the line before the line is rotated."""
     (size,) = _check.ints(op, "kernel_size", kernel_size, 1, minimum=3)
     _check.odd(op, "kernel_size", (size,))
-    _check.choice(op, "mode", mode, _MODES if axes == 2 else _MODES[:2])
+    _check.choice(op, "mode", mode, MOTION_TAPS_NAMES if axes == 2 else MOTION_TAPS_NAMES[:2])
     angle, direction, dtype = _parameters(op, angle, direction, axes, image)
     angle = angle.detach() if mode == "nearest" else angle
-    kernel: Tensor = _motion_kernels(angle, direction, size, _MODES.index(mode))
+    kernel: Tensor = _motion_kernels(angle, direction, size, MOTION_TAPS[mode])
     return as_dtype(kernel, dtype)
 
 
 def _reference(angle: Tensor, direction: Tensor, size: int, taps: int) -> Tensor:
     """Kernels (B, size, ...) from angles (B or 1, 1 or 3) and directions (B or 1, 1)."""
-    axes, mode = 2 if angle.shape[1] == 1 else 3, _MODES[taps]
+    axes, mode = 2 if angle.shape[1] == 1 else 3, MOTION_TAPS_NAMES[taps]
     if mode == "nearest":
         angle = angle.detach().double()  # which of two pixels is nearer can be a matter of the last bits
     center = size // 2

@@ -256,9 +256,9 @@ KV_HD void jpeg_quantized_vjp(V const& coefficient, V const& step, V& g, V& deri
 // The example tables of ISO/IEC 10918-1, annex K. `i`: vertical frequency times 8, plus the horizontal one.
 KV_HD int jpeg_standard(bool chroma, int i) {
   constexpr uint8_t luminance[] = {16, 11, 10, 16, 24,  40,  51,  61,  12, 12, 14, 19, 26,  58,  60,  55,
-                              14, 13, 16, 24, 40,  57,  69,  56,  14, 17, 22, 29, 51,  87,  80,  62,
-                              18, 22, 37, 56, 68,  109, 103, 77,  24, 35, 55, 64, 81,  104, 113, 92,
-                              49, 64, 78, 87, 103, 121, 120, 101, 72, 92, 95, 98, 112, 100, 103, 99};
+                                   14, 13, 16, 24, 40,  57,  69,  56,  14, 17, 22, 29, 51,  87,  80,  62,
+                                   18, 22, 37, 56, 68,  109, 103, 77,  24, 35, 55, 64, 81,  104, 113, 92,
+                                   49, 64, 78, 87, 103, 121, 120, 101, 72, 92, 95, 98, 112, 100, 103, 99};
   constexpr uint8_t low_chrominance[] = {17, 18, 24, 47, 18, 21, 26, 66, 24, 26, 56, 99, 47, 66, 99, 99};
   constexpr int high_chrominance = 99;  // from frequency 4 on
   if (!chroma) return luminance[i];

@@ -333,11 +333,12 @@ def side_to_size(size: int, h: int, w: int, side: ResizeSide) -> tuple[int, int]
     """Height and width of a result with one side of length `size`, and the aspect of an image h x w."""
     # Computed in floats, as in Kornia: products are rounded down. A side next to a short one is at least `size`.
     height, width = math.trunc(size / (w / h)), math.trunc(size * (w / h))
+    most, least = (max, min) if type(height) is int and type(width) is int else (largest, smallest)
     if side == "short":
-        return largest(size, height), largest(size, width)
+        return most(size, height), most(size, width)
     if side == "long":
-        return smallest(size, largest(1, height)), smallest(size, largest(1, width))
-    return (size, largest(1, width)) if side == "vert" else (largest(1, height), size)
+        return least(size, most(1, height)), least(size, most(1, width))
+    return (size, most(1, width)) if side == "vert" else (most(1, height), size)
 
 
 def _blurred(x: Tensor, *factors: float) -> Tensor:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -9,23 +10,13 @@ import torch
 
 from kvision import _check
 from kvision._tv_tensors import kind_of
+from kvision.tv import argument, draw
 from kvision.tv import functional as F
 from kvision.tv.geometry import drawn_window
-from kvision.tv.transform import (
-    RandomTransform,
-    Transform,
-    channels_in,
-    integer,
-    pair,
-    permutation,
-    size_of,
-    two,
-    uniform,
-    unit,
-)
+from kvision.tv.transform import Chance, RandomTransform, Transform, channels_in, size_of
 
 
-class Grayscale(Transform):
+class Grayscale(Transform, function=F.rgb_to_grayscale):
     """Make gray of colors.
 
     Args:
@@ -38,15 +29,10 @@ class Grayscale(Transform):
         torch.Size([1, 8, 6])
     """
 
-    def __init__(self, num_output_channels: int = 1) -> None:
-        super().__init__()
-        self.num_output_channels = num_output_channels
-
-    def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
-        return self._call_kernel(F.rgb_to_grayscale, inpt, num_output_channels=self.num_output_channels)
+    num_output_channels: int = 1
 
 
-class RandomGrayscale(RandomTransform):
+class RandomGrayscale(Chance, function=F.rgb_to_grayscale):
     """Make gray of colors with a probability, in as many channels.
 
     Args:
@@ -59,17 +45,13 @@ class RandomGrayscale(RandomTransform):
         torch.Size([3, 8, 6])
     """
 
-    def __init__(self, p: float = 0.1) -> None:
-        super().__init__(p)
+    p: float = 0.1
 
     def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
         return {"num_output_channels": channels_in(flat_inputs)}
 
-    def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
-        return self._call_kernel(F.rgb_to_grayscale, inpt, **params)
 
-
-class RGB(Transform):
+class RGB(Transform, function=F.grayscale_to_rgb):
     """Repeat the one channel of gray images.
 
     Example:
@@ -79,23 +61,50 @@ class RGB(Transform):
         torch.Size([3, 8, 6])
     """
 
-    def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
-        return self._call_kernel(F.grayscale_to_rgb, inpt)
 
-
-def _factors(name: str, value: Any, center: float, low: float, high: float) -> tuple[float, float] | None:
+def _factors(op: str, name: str, value: Any) -> tuple[float, float] | None:
     """The interval of a factor; None for one that changes nothing."""
-    if value is None:
-        return None
-    value = _check.scalars("ColorJitter", name, value)
-    if isinstance(value, (int, float)):
-        if value < 0:
-            raise ValueError(f"ColorJitter: expected {name} of at least 0, got {value}")
-        value = max(center - value, low) if low == 0 else center - value, center + value
-    a, b = two("ColorJitter", name, value, (2,))
+    center, low, high = (0.0, -0.5, 0.5) if name == "hue" else (1.0, 0.0, math.inf)
+    values = _check.scalars(op, name, value)
+    if isinstance(values, (int, float)):
+        if values < 0:
+            raise ValueError(f"{op}: expected {name} of at least 0, got {value}")
+        values = max(center - values, low) if low == 0 else center - values, center + values
+    a, b = (center, center) if values is None else argument.pair(op, name, values)
     if not low <= a <= b <= high:
-        raise ValueError(f"ColorJitter: expected {name} in [{low}, {high}], increasing, got {value}")
+        raise ValueError(f"{op}: expected {name} in [{low}, {high}], increasing, got {value}")
     return None if a == b == center else (float(a), float(b))
+
+
+def _odd_sizes(op: str, name: str, value: Any) -> tuple[int, int]:
+    sizes = argument.two(op, name, value)
+    if sizes[0] % 2 == 0 or sizes[1] % 2 == 0:
+        raise ValueError(f"{op}: expected odd {name}, got {value}")
+    return sizes
+
+
+def _deviations(op: str, name: str, value: Any) -> tuple[Any, Any]:
+    low, high = argument.two_numbers(_check.scalars(op, name, value))
+    if not 0 < low <= high:
+        raise ValueError(f"{op}: expected {name} above 0, increasing, got {value}")
+    return low, high
+
+
+def _qualities(op: str, name: str, value: Any) -> tuple[int, int]:
+    low, high = argument.two(op, name, value)
+    if not low <= high <= 100:
+        raise ValueError(f"{op}: expected {name} of 1 to 100, or two of them, got {value!r}")
+    return low, high
+
+
+def _erased(op: str, name: str, value: Any) -> list[float] | None:
+    """The color of what is erased, None for noise."""
+    values = _check.scalars(op, name, value)
+    if values == "random":
+        return None
+    if isinstance(values, str):
+        raise ValueError(f"{op}: expected {name} to be a number, one of each channel or 'random', got {value!r}")
+    return [float(v) for v in ([values] if isinstance(values, (int, float)) else values)]
 
 
 class _Jitter(Transform):
@@ -107,11 +116,17 @@ class _Jitter(Transform):
         "hue_factor": F.adjust_hue,
     }
 
-    def _adjust(self, inpt: Any, names: Sequence[str], params: dict[str, Any]) -> Any:
-        for name in names:
-            if params[name] is not None:
-                inpt = self._call_kernel(self.functionals[name], inpt, params[name])
-        return inpt
+    def _intervals(self) -> list[Any]:
+        return [getattr(self, name.removesuffix("_factor")) for name in self.functionals]
+
+    def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
+        names = tuple(self.functionals)
+        for i in params["fn_idx"]:
+            factor = params[names[i]]
+            if factor is not None:
+                inpt = self._call_kernel(self.functionals[names[i]], inpt, factor)
+        channels = params.get("channel_permutation")
+        return inpt if channels is None else self._call_kernel(F.permute_channels, inpt, channels)
 
 
 class ColorJitter(_Jitter):
@@ -130,28 +145,17 @@ class ColorJitter(_Jitter):
         torch.Size([3, 8, 6])
     """
 
-    def __init__(
-        self,
-        brightness: float | Sequence[float] | None = None,
-        contrast: float | Sequence[float] | None = None,
-        saturation: float | Sequence[float] | None = None,
-        hue: float | Sequence[float] | None = None,
-    ) -> None:
-        super().__init__()
-        self.brightness = _factors("brightness", brightness, 1.0, 0.0, float("inf"))
-        self.contrast = _factors("contrast", contrast, 1.0, 0.0, float("inf"))
-        self.saturation = _factors("saturation", saturation, 1.0, 0.0, float("inf"))
-        self.hue = _factors("hue", hue, 0.0, -0.5, 0.5)
+    brightness: float | Sequence[float] | None = None
+    contrast: float | Sequence[float] | None = None
+    saturation: float | Sequence[float] | None = None
+    hue: float | Sequence[float] | None = None
+
+    checks = dict.fromkeys(("brightness", "contrast", "saturation", "hue"), _factors)
 
     def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
-        order = permutation(4)
-        intervals = (self.brightness, self.contrast, self.saturation, self.hue)
-        factors = [None if interval is None else uniform(*interval) for interval in intervals]
+        order = draw.permutation(4)
+        factors = [None if interval is None else draw.uniform(interval) for interval in self._intervals()]
         return {"fn_idx": order, **dict(zip(self.functionals, factors))}
-
-    def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
-        names = tuple(self.functionals)
-        return self._adjust(inpt, [names[i] for i in params["fn_idx"]], params)
 
 
 class RandomPhotometricDistort(_Jitter):
@@ -171,39 +175,20 @@ class RandomPhotometricDistort(_Jitter):
         torch.Size([3, 8, 6])
     """
 
-    def __init__(
-        self,
-        brightness: tuple[float, float] = (0.875, 1.125),
-        contrast: tuple[float, float] = (0.5, 1.5),
-        saturation: tuple[float, float] = (0.5, 1.5),
-        hue: tuple[float, float] = (-0.05, 0.05),
-        p: float = 0.5,
-    ) -> None:
-        super().__init__()
-        op = "RandomPhotometricDistort"
-        self.brightness, self.contrast = pair(op, "brightness", brightness), pair(op, "contrast", contrast)
-        self.saturation, self.hue = pair(op, "saturation", saturation), pair(op, "hue", hue)
-        self.p = _check.fraction(op, "p", p)
+    brightness: tuple[float, float] = (0.875, 1.125)
+    contrast: tuple[float, float] = (0.5, 1.5)
+    saturation: tuple[float, float] = (0.5, 1.5)
+    hue: tuple[float, float] = (-0.05, 0.05)
+    p: float = 0.5
 
     def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
-        channels = channels_in(flat_inputs)
-        intervals = (self.brightness, self.contrast, self.saturation, self.hue)
-        params: dict[str, Any] = {}
-        for name, interval in zip(self.functionals, intervals):
-            params[name] = uniform(*interval) if unit() < self.p else None
-        params["contrast_before"] = unit() < 0.5
-        params["channel_permutation"] = permutation(channels) if unit() < self.p else None
-        return params
-
-    def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
-        names = ["brightness_factor", "saturation_factor", "hue_factor"]
-        names.insert(1 if params["contrast_before"] else 3, "contrast_factor")
-        inpt = self._adjust(inpt, names, params)
-        channels = params["channel_permutation"]
-        return inpt if channels is None else self._call_kernel(F.permute_channels, inpt, channels)
+        factors = [draw.uniform(interval) if draw.unit() < self.p else None for interval in self._intervals()]
+        order = (0, 1, 2, 3) if draw.unit() < 0.5 else (0, 2, 3, 1)  # contrast before or behind the colors
+        channels = draw.permutation(channels_in(flat_inputs)) if draw.unit() < self.p else None
+        return {"fn_idx": order, **dict(zip(self.functionals, factors)), "channel_permutation": channels}
 
 
-class RandomChannelPermutation(Transform):
+class RandomChannelPermutation(Transform, function=F.permute_channels):
     """Permute the channels.
 
     Example:
@@ -216,13 +201,10 @@ class RandomChannelPermutation(Transform):
     draws = True
 
     def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
-        return {"permutation": permutation(channels_in(flat_inputs))}
-
-    def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
-        return self._call_kernel(F.permute_channels, inpt, **params)
+        return {"permutation": draw.permutation(channels_in(flat_inputs))}
 
 
-class RandomInvert(RandomTransform):
+class RandomInvert(RandomTransform, function=F.invert):
     """Invert the colors with a probability.
 
     Args:
@@ -235,11 +217,8 @@ class RandomInvert(RandomTransform):
         tensor([[[1.]]])
     """
 
-    def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
-        return self._call_kernel(F.invert, inpt)
 
-
-class RandomEqualize(RandomTransform):
+class RandomEqualize(RandomTransform, function=F.equalize):
     """Equalize the histograms of channels with a probability.
 
     Args:
@@ -252,11 +231,8 @@ class RandomEqualize(RandomTransform):
         torch.Size([3, 8, 6])
     """
 
-    def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
-        return self._call_kernel(F.equalize, inpt)
 
-
-class RandomAutocontrast(RandomTransform):
+class RandomAutocontrast(RandomTransform, function=F.autocontrast):
     """Stretch each channel to black and white with a probability.
 
     Args:
@@ -269,11 +245,8 @@ class RandomAutocontrast(RandomTransform):
         tensor([[[0., 1.]]])
     """
 
-    def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
-        return self._call_kernel(F.autocontrast, inpt)
 
-
-class RandomPosterize(RandomTransform):
+class RandomPosterize(Chance, function=F.posterize):
     """Keep the high bits of the values with a probability.
 
     Args:
@@ -287,15 +260,11 @@ class RandomPosterize(RandomTransform):
         tensor([[[  0, 128]]], dtype=torch.uint8)
     """
 
-    def __init__(self, bits: int, p: float = 0.5) -> None:
-        super().__init__(p)
-        (self.bits,) = _check.ints("RandomPosterize", "bits", bits, 1, 0, 8)
-
-    def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
-        return self._call_kernel(F.posterize, inpt, bits=self.bits)
+    bits: int
+    p: float = 0.5
 
 
-class RandomSolarize(RandomTransform):
+class RandomSolarize(Chance, function=F.solarize):
     """Invert what is at least a threshold, with a probability.
 
     Args:
@@ -309,15 +278,11 @@ class RandomSolarize(RandomTransform):
         tensor([[[0.2000, 0.2500]]])
     """
 
-    def __init__(self, threshold: float, p: float = 0.5) -> None:
-        super().__init__(p)
-        self.threshold = _check.number("RandomSolarize", "threshold", threshold)
-
-    def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
-        return self._call_kernel(F.solarize, inpt, threshold=self.threshold)
+    threshold: float
+    p: float = 0.5
 
 
-class RandomAdjustSharpness(RandomTransform):
+class RandomAdjustSharpness(Chance, function=F.adjust_sharpness):
     """Sharpen or smooth with a probability.
 
     Args:
@@ -331,15 +296,11 @@ class RandomAdjustSharpness(RandomTransform):
         torch.Size([3, 8, 6])
     """
 
-    def __init__(self, sharpness_factor: float, p: float = 0.5) -> None:
-        super().__init__(p)
-        self.sharpness_factor = _check.number("RandomAdjustSharpness", "sharpness_factor", sharpness_factor, 0)
-
-    def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
-        return self._call_kernel(F.adjust_sharpness, inpt, sharpness_factor=self.sharpness_factor)
+    sharpness_factor: float
+    p: float = 0.5
 
 
-class GaussianBlur(Transform):
+class GaussianBlur(Transform, function=F.gaussian_blur):
     """Smooth with a random standard deviation.
 
     Args:
@@ -353,25 +314,17 @@ class GaussianBlur(Transform):
         torch.Size([3, 8, 6])
     """
 
-    draws = True
+    kernel_size: int | Sequence[int]
+    sigma: float | Sequence[float] = (0.1, 2.0)
 
-    def __init__(self, kernel_size: int | Sequence[int], sigma: float | Sequence[float] = (0.1, 2.0)) -> None:
-        super().__init__()
-        self.kernel_size = two("GaussianBlur", "kernel_size", kernel_size)
-        if any(k <= 0 or k % 2 == 0 for k in self.kernel_size):
-            raise ValueError(f"GaussianBlur: expected odd kernel_size, got {kernel_size}")
-        self.sigma = two("GaussianBlur", "sigma", sigma)
-        if not 0 < self.sigma[0] <= self.sigma[1]:
-            raise ValueError(f"GaussianBlur: expected sigma above 0, increasing, got {sigma}")
+    draws = True
+    checks = {"kernel_size": _odd_sizes, "sigma": _deviations}
 
     def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
-        return {"sigma": [uniform(*self.sigma)] * 2}
-
-    def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
-        return self._call_kernel(F.gaussian_blur, inpt, self.kernel_size, **params)
+        return {"sigma": [draw.uniform(self.sigma)] * 2}
 
 
-class GaussianNoise(Transform):
+class GaussianNoise(Transform, function=F.gaussian_noise):
     """Add normally distributed noise.
 
     Args:
@@ -386,15 +339,12 @@ class GaussianNoise(Transform):
         torch.Size([3, 8, 6])
     """
 
-    def __init__(self, mean: float = 0.0, sigma: float = 0.1, clip: bool = True) -> None:
-        super().__init__()
-        self.mean, self.sigma, self.clip = mean, sigma, clip
-
-    def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
-        return self._call_kernel(F.gaussian_noise, inpt, mean=self.mean, sigma=self.sigma, clip=self.clip)
+    mean: float = 0.0
+    sigma: float = 0.1
+    clip: bool = True
 
 
-class JPEG(Transform):
+class JPEG(Transform, function=F.jpeg):
     """Compress and decompress uint8 images as JPEG of a random quality.
 
     Args:
@@ -407,22 +357,17 @@ class JPEG(Transform):
         torch.Size([3, 8, 6])
     """
 
-    draws = True
+    quality: int | Sequence[int]
 
-    def __init__(self, quality: int | Sequence[int]) -> None:
-        super().__init__()
-        low, high = self.quality = two("JPEG", "quality", quality, (2,))
-        if not (type(low) is type(high) is int and 1 <= low <= high <= 100):
-            raise ValueError(f"JPEG: expected a quality of 1 to 100, or two of them, got {quality!r}")
+    draws = True
+    checks = {"quality": _qualities}
 
     def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
-        return {"quality": integer(self.quality[0], self.quality[1] + 1)}
-
-    def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
-        return self._call_kernel(F.jpeg, inpt, **params)
+        low, high = argument.two_numbers(self.quality)
+        return {"quality": draw.integer(low, high + 1)}
 
 
-class RandomErasing(RandomTransform):
+class RandomErasing(RandomTransform, function=F.erase):
     """Erase a random window with a probability.
 
     Args:
@@ -439,47 +384,30 @@ class RandomErasing(RandomTransform):
         True
     """
 
-    def __init__(
-        self,
-        p: float = 0.5,
-        scale: Sequence[float] = (0.02, 0.33),
-        ratio: Sequence[float] = (0.3, 3.3),
-        value: float | str | Sequence[float] = 0.0,
-        inplace: bool = False,
-    ) -> None:
-        super().__init__(p)
-        self.scale, self.ratio = (two("RandomErasing", n, v, (2,)) for n, v in (("scale", scale), ("ratio", ratio)))
-        if not (0 <= self.scale[0] and self.scale[1] <= 1):
-            raise ValueError(f"RandomErasing: expected scale in [0, 1], got {scale}")
-        if not 0 < self.ratio[0] <= self.ratio[1] < float("inf"):
-            raise ValueError(f"RandomErasing: expected ratio above 0, in ascending order, got {ratio}")
-        if isinstance(value, str) and value != "random":
-            raise ValueError(
-                f"RandomErasing: expected value to be a number, one of each channel or 'random', got {value!r}"
-            )
-        value = _check.scalars("RandomErasing", "value", value)
-        numbers = [value] if isinstance(value, (int, float)) else value
-        self.value = None if isinstance(numbers, str) else [float(v) for v in numbers]
-        self.inplace = inplace
-        self._log_ratio = torch.log(torch.tensor(self.ratio, device="cpu")).tolist()
+    scale: Sequence[float] = (0.02, 0.33)
+    ratio: Sequence[float] = (0.3, 3.3)
+    value: float | str | Sequence[float] = 0.0
+    inplace: bool = False
+
+    checks = {"scale": argument.fractions, "value": _erased}
 
     def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
-        channels, (height, width) = channels_in(flat_inputs), size_of(flat_inputs)
-        if self.value is not None and len(self.value) not in (1, channels):
-            raise ValueError(f"RandomErasing: expected a value, or one of {channels} channels, got {self.value}")
+        channels, (height, width), value = channels_in(flat_inputs), size_of(flat_inputs), self.value
+        if value is not None and len(value) not in (1, channels):  # type: ignore[arg-type]  # a list by now
+            raise ValueError(f"RandomErasing: expected a value, or one of {channels} channels, got {value}")
         for _ in range(10):
-            w, h = drawn_window(height, width, self.scale, self._log_ratio)
+            w, h = drawn_window(height, width, self.scale, self.ratio)
             if h < height and w < width:
-                random = self.value is None
-                v = (
-                    torch.randn(channels, h, w, device="cpu")
-                    if random
-                    else torch.tensor(self.value, device="cpu")[:, None, None]
-                )
-                return {"i": integer(0, height - h + 1), "j": integer(0, width - w + 1), "h": h, "w": w, "v": v}
+                noise = torch.randn(channels, h, w, device="cpu") if value is None else None
+                v = torch.tensor(value, device="cpu")[:, None, None] if noise is None else noise
+                return {
+                    "i": draw.integer(0, height - h + 1),
+                    "j": draw.integer(0, width - w + 1),
+                    "h": h,
+                    "w": w,
+                    "v": v,
+                }
         return {}
 
     def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
-        if not params or kind_of(inpt) == "mask":
-            return inpt
-        return self._call_kernel(F.erase, inpt, **{**params, "inplace": self.inplace})
+        return super().transform(inpt, params) if params and kind_of(inpt) != "mask" else inpt

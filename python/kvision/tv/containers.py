@@ -9,32 +9,24 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from kvision import _check
 from kvision._torch_compat import tree_flatten, tree_unflatten
 from kvision._tv_tensors import kind_of, plain, wrap
-from kvision.tv.transform import (
-    Step,
-    Transform,
-    at,
-    count_samples,
-    draws_once,
-    join,
-    permutation,
-    split,
-    unit,
-)
+from kvision.tv import draw
+from kvision.tv.transform import Step, Transform, at, count_samples, draws_once, join, split
+
+
+def _children(op: str, name: str, value: Any) -> Any:
+    if not isinstance(value, (Sequence, nn.ModuleList)) or isinstance(value, (str, bytes)):
+        raise TypeError(f"{op}: expected a sequence of transforms, got {type(value).__name__}")
+    if not len(value):
+        raise ValueError(f"{op}: expected at least one transform")
+    return value
 
 
 class _Container(Transform):
-    def __init__(self, transforms: Sequence[Callable[..., Any]] | nn.ModuleList) -> None:
-        super().__init__()
-        if not isinstance(transforms, (Sequence, nn.ModuleList)) or isinstance(transforms, (str, bytes)):
-            raise TypeError(
-                f"{type(self).__name__}: expected a sequence of transforms, got {type(transforms).__name__}"
-            )
-        if not len(transforms):
-            raise ValueError(f"{type(self).__name__}: expected at least one transform")
-        self.transforms = transforms
+    transforms: Sequence[Callable[..., Any]] | nn.ModuleList
+
+    checks = {"transforms": _children}
 
     @property
     def draws(self) -> bool:  # type: ignore[override]
@@ -186,12 +178,10 @@ class RandomApply(_Container):
         tensor([[[1.]]])
     """
 
-    def __init__(self, transforms: Sequence[Callable[..., Any]] | nn.ModuleList, p: float = 0.5) -> None:
-        super().__init__(transforms)
-        self.p = _check.fraction("RandomApply", "p", p)
+    p: float = 0.5
 
     def _choice(self) -> Sequence[int]:
-        return () if unit() >= self.p else range(len(self.transforms))
+        return () if draw.unit() >= self.p else range(len(self.transforms))
 
 
 class RandomChoice(_Container):
@@ -208,11 +198,15 @@ class RandomChoice(_Container):
         tensor([[[1.]]])
     """
 
-    def __init__(self, transforms: Sequence[Callable[..., Any]], p: list[float] | None = None) -> None:
-        super().__init__(transforms)
-        weights = [1.0] * len(transforms) if p is None else list(p)
-        if len(weights) != len(transforms):
-            raise ValueError(f"RandomChoice: expected {len(transforms)} weights, got {len(weights)}")
+    p: list[float] | None = None
+
+    checks = {"transforms": _children, "p": lambda op, name, value: value}
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        weights = [1.0] * len(self.transforms) if self.p is None else list(self.p)
+        if len(weights) != len(self.transforms):
+            raise ValueError(f"RandomChoice: expected {len(self.transforms)} weights, got {len(weights)}")
         self.p = [weight / sum(weights) for weight in weights]
 
     def _choice(self) -> Sequence[int]:
@@ -233,4 +227,4 @@ class RandomOrder(_Container):
     """
 
     def _choice(self) -> Sequence[int]:
-        return permutation(len(self.transforms))
+        return draw.permutation(len(self.transforms))

@@ -7,36 +7,25 @@ from collections.abc import Sequence
 from typing import Any
 
 import torch
+from torch import Tensor
 
 from kvision import _check
 from kvision._tv_tensors import kind_of, plain, wrap
+from kvision.tv import argument, draw
 from kvision.tv import functional as F
-from kvision.tv.functional.geometry import (
-    PADDING_MODES,
-    InterpolationMode,
-    four_paddings,
-    interpolation_name,
-    perspective_coefficients,
-)
-from kvision.tv.transform import (
-    RandomTransform,
-    Step,
-    Transform,
-    checked_interpolation,
-    fill_of,
-    integer,
-    interval,
-    log_uniform,
-    size_of,
-    two,
-    uniform,
-)
+from kvision.tv.functional.geometry import InterpolationMode, four_paddings, interpolation_name
+from kvision.tv.transform import Chance, RandomTransform, Step, Transform, fill_of, size_of
 
 Fill = float | Sequence[float] | None | dict[Any, Any]
 Interpolation = InterpolationMode | str | int
 
 
-class RandomHorizontalFlip(RandomTransform):
+class _Flip(RandomTransform):
+    def _step(self, dtype: torch.dtype, channels: int) -> Step | None:
+        return type(self).__name__, (("p", self.p),)
+
+
+class RandomHorizontalFlip(_Flip, function=F.horizontal_flip):
     """Mirror the columns with a probability.
 
     Args:
@@ -49,14 +38,8 @@ class RandomHorizontalFlip(RandomTransform):
         torch.Size([1, 2, 3])
     """
 
-    def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
-        return self._call_kernel(F.horizontal_flip, inpt)
 
-    def _step(self, dtype: torch.dtype, channels: int) -> Step | None:
-        return "RandomHorizontalFlip", (("p", self.p),)
-
-
-class RandomVerticalFlip(RandomTransform):
+class RandomVerticalFlip(_Flip, function=F.vertical_flip):
     """Mirror the rows with a probability.
 
     Args:
@@ -69,25 +52,17 @@ class RandomVerticalFlip(RandomTransform):
         torch.Size([1, 2, 3])
     """
 
-    def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
-        return self._call_kernel(F.vertical_flip, inpt)
 
-    def _step(self, dtype: torch.dtype, channels: int) -> Step | None:
-        return "RandomVerticalFlip", (("p", self.p),)
-
-
-class _Resizing(Transform):
-    """Resize to the size that is drawn."""
-
-    def __init__(self, interpolation: Interpolation, antialias: bool | None) -> None:
-        super().__init__()
-        self.interpolation, self.antialias = checked_interpolation(self, interpolation), antialias
-
-    def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
-        return self._call_kernel(F.resize, inpt, **params, interpolation=self.interpolation, antialias=self.antialias)
+def _sizes(op: str, name: str, value: Any) -> list[int] | None:
+    size = _check.scalars(op, name, value)
+    if isinstance(size, int) or size is None:
+        return size if size is None else [size]
+    if len(size) not in (1, 2):
+        raise ValueError(f"{op}: expected {name} to be an int or one or two of them, got {value!r}")
+    return list(size)
 
 
-class Resize(_Resizing):
+class Resize(Transform, function=F.resize):
     """Resize to a height and width, or by the shorter or the longer side.
 
     Args:
@@ -104,27 +79,20 @@ class Resize(_Resizing):
         torch.Size([3, 5, 4])
     """
 
-    def __init__(
-        self,
-        size: int | Sequence[int] | None,
-        interpolation: Interpolation = "bilinear",
-        max_size: int | None = None,
-        antialias: bool | None = True,
-    ) -> None:
-        super().__init__(interpolation, antialias)
-        size, max_size = (_check.scalars("Resize", n, v) for n, v in (("size", size), ("max_size", max_size)))
-        if size is None and not isinstance(max_size, int):
-            raise ValueError(f"Resize: expected max_size to be an int where size is None, got {max_size!r}")
-        if size is not None and not isinstance(size, int) and len(size) not in (1, 2):
-            raise ValueError(f"Resize: expected size to be an int or one or two of them, got {size!r}")
-        self.size = [size] if isinstance(size, int) else size if size is None else list(size)
-        self.max_size = max_size
+    size: int | Sequence[int] | None
+    interpolation: Interpolation = "bilinear"
+    max_size: int | None = None
+    antialias: bool | None = True
 
-    def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
-        return {"size": self.size, "max_size": self.max_size}
+    checks = {"size": _sizes}
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.size is None:
+            (self.max_size,) = _check.ints("Resize", "max_size where size is None", self.max_size, 1)
 
 
-class ScaleJitter(_Resizing):
+class ScaleJitter(Transform, function=F.resize):
     """Resize by a random factor of the largest size that fits into a target.
 
     Args:
@@ -141,15 +109,10 @@ class ScaleJitter(_Resizing):
         torch.Size([3, 16, 12])
     """
 
-    def __init__(
-        self,
-        target_size: tuple[int, int],
-        scale_range: tuple[float, float] = (0.1, 2.0),
-        interpolation: Interpolation = "bilinear",
-        antialias: bool | None = True,
-    ) -> None:
-        super().__init__(interpolation, antialias)
-        self.target_size, self.scale_range = target_size, scale_range
+    target_size: tuple[int, int]
+    scale_range: tuple[float, float] = (0.1, 2.0)
+    interpolation: Interpolation = "bilinear"
+    antialias: bool | None = True
 
     def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
         height, width = size_of(flat_inputs)
@@ -158,7 +121,7 @@ class ScaleJitter(_Resizing):
         return {"size": (int(height * r), int(width * r))}
 
 
-class RandomShortestSize(_Resizing):
+class RandomShortestSize(Transform, function=F.resize):
     """Resize the shorter side to a random one of some sizes.
 
     Args:
@@ -175,27 +138,21 @@ class RandomShortestSize(_Resizing):
         torch.Size([3, 4, 3])
     """
 
-    def __init__(
-        self,
-        min_size: int | Sequence[int],
-        max_size: int | None = None,
-        interpolation: Interpolation = "bilinear",
-        antialias: bool | None = True,
-    ) -> None:
-        super().__init__(interpolation, antialias)
-        min_size = _check.scalars("RandomShortestSize", "min_size", min_size)
-        self.min_size = [min_size] if isinstance(min_size, int) else list(min_size)
-        self.max_size = max_size
+    min_size: int | Sequence[int]
+    max_size: int | None = None
+    interpolation: Interpolation = "bilinear"
+    antialias: bool | None = True
 
     def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
         height, width = size_of(flat_inputs)
-        r = self.min_size[integer(0, len(self.min_size))] / min(height, width)
-        if self.max_size is not None:
-            r = min(r, self.max_size / max(height, width))
-        return {"size": (int(height * r), int(width * r))}
+        sizes: Any = _check.scalars("RandomShortestSize", "min_size", self.min_size)
+        sizes = [sizes] if isinstance(sizes, int) else sizes
+        r = sizes[draw.integer(0, len(sizes))] / min(height, width)
+        r = r if self.max_size is None else min(r, self.max_size / max(height, width))
+        return {"size": (int(height * r), int(width * r)), "max_size": None}
 
 
-class RandomResize(_Resizing):
+class RandomResize(Transform, function=F.resize):
     """Resize the shorter side to a random size.
 
     Args:
@@ -212,17 +169,16 @@ class RandomResize(_Resizing):
         torch.Size([3, 4, 3])
     """
 
-    def __init__(
-        self, min_size: int, max_size: int, interpolation: Interpolation = "bilinear", antialias: bool | None = True
-    ) -> None:
-        super().__init__(interpolation, antialias)
-        self.min_size, self.max_size = min_size, max_size
+    min_size: int
+    max_size: int
+    interpolation: Interpolation = "bilinear"
+    antialias: bool | None = True
 
     def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
-        return {"size": [integer(self.min_size, self.max_size)]}
+        return {"size": [draw.integer(self.min_size, self.max_size)], "max_size": None}
 
 
-class CenterCrop(Transform):
+class CenterCrop(Transform, function=F.center_crop):
     """Cut the center out; a larger size is padded with black.
 
     Args:
@@ -235,26 +191,13 @@ class CenterCrop(Transform):
         torch.Size([3, 4, 4])
     """
 
-    def __init__(self, size: int | Sequence[int]) -> None:
-        super().__init__()
-        self.size = _check.ints("CenterCrop", "size", two("CenterCrop", "size", size), 2, minimum=1)
+    size: int | Sequence[int]
 
-    def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
-        return self._call_kernel(F.center_crop, inpt, output_size=self.size)
+    def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
+        return {"output_size": self.size}
 
 
-class _Crops(Transform):
-    def __init__(self, size: int | Sequence[int]) -> None:
-        super().__init__()
-        op = type(self).__name__
-        self.size = _check.ints(op, "size", two(op, "size", size), 2, minimum=1)
-
-    def check_inputs(self, flat_inputs: list[Any]) -> None:
-        if any(kind_of(x) in ("boxes", "mask") for x in flat_inputs):
-            raise TypeError(f"{type(self).__name__}: expected a sample without boxes and masks")
-
-
-class FiveCrop(_Crops):
+class FiveCrop(Transform, function=F.five_crop):
     """Cut out the corners and the center: a tuple of five.
 
     Args:
@@ -267,11 +210,12 @@ class FiveCrop(_Crops):
         5
     """
 
-    def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
-        return self._call_kernel(F.five_crop, inpt, self.size)
+    size: int | Sequence[int]
+
+    refused = frozenset({"boxes", "mask"})
 
 
-class TenCrop(_Crops):
+class TenCrop(Transform, function=F.ten_crop):
     """Cut out the corners and the center, and those of the mirrored image: a tuple of ten.
 
     Args:
@@ -285,22 +229,19 @@ class TenCrop(_Crops):
         10
     """
 
-    def __init__(self, size: int | Sequence[int], vertical_flip: bool = False) -> None:
-        super().__init__(size)
-        self.vertical_flip = vertical_flip
+    size: int | Sequence[int]
+    vertical_flip: bool = False
 
-    def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
-        return self._call_kernel(F.ten_crop, inpt, self.size, vertical_flip=self.vertical_flip)
+    refused = frozenset({"boxes", "mask"})
 
 
-def drawn_window(height: int, width: int, scale: Any, log_ratio: Any) -> tuple[int, int]:
+def drawn_window(height: int, width: int, scale: Any, ratio: Any) -> tuple[int, int]:
     """A height and width by a share of the area and an aspect ratio (width / height), both drawn."""
-    area = height * width * uniform(scale[0], scale[1])
-    ratio = log_uniform(log_ratio[0], log_ratio[1])
-    return round(math.sqrt(area / ratio)), round(math.sqrt(area * ratio))
+    area, aspect = height * width * draw.uniform(scale), draw.log_uniform(ratio)
+    return round(math.sqrt(area / aspect)), round(math.sqrt(area * aspect))
 
 
-class RandomResizedCrop(Transform):
+class RandomResizedCrop(Transform, function=F.resized_crop):
     """Cut out a random window and resize it.
 
     Args:
@@ -318,50 +259,34 @@ class RandomResizedCrop(Transform):
         torch.Size([3, 4, 4])
     """
 
-    draws = True
+    size: int | Sequence[int]
+    scale: Sequence[float] = (0.08, 1.0)
+    ratio: Sequence[float] = (3.0 / 4.0, 4.0 / 3.0)
+    interpolation: Interpolation = "bilinear"
+    antialias: bool | None = True
 
-    def __init__(
-        self,
-        size: int | Sequence[int],
-        scale: tuple[float, float] = (0.08, 1.0),
-        ratio: tuple[float, float] = (3.0 / 4.0, 4.0 / 3.0),
-        interpolation: Interpolation = "bilinear",
-        antialias: bool | None = True,
-    ) -> None:
-        super().__init__()
-        self.size = two("RandomResizedCrop", "size", size)
-        self.scale, self.ratio = (two("RandomResizedCrop", n, v, (2,)) for n, v in (("scale", scale), ("ratio", ratio)))
-        self.interpolation, self.antialias = checked_interpolation(self, interpolation), antialias
-        self._log_ratio = torch.log(torch.tensor(self.ratio, device="cpu")).tolist()
+    draws = True
 
     def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
         height, width = size_of(flat_inputs)
         for _ in range(10):
-            h, w = drawn_window(height, width, self.scale, self._log_ratio)
+            h, w = drawn_window(height, width, self.scale, self.ratio)
             if 0 < h <= height and 0 < w <= width:
-                top, left = integer(0, height - h + 1), integer(0, width - w + 1)
+                top, left = draw.integer(0, height - h + 1), draw.integer(0, width - w + 1)
                 return {"top": top, "left": left, "height": h, "width": w}
-        h, w = height, width
-        if width / height < min(self.ratio):
-            h = round(w / min(self.ratio))
-        elif width / height > max(self.ratio):
-            w = round(h * max(self.ratio))
+        h = min(height, round(width / min(self.ratio)))
+        w = min(width, round(height * max(self.ratio)))
         return {"top": (height - h) // 2, "left": (width - w) // 2, "height": h, "width": w}
 
-    def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
-        options = {"interpolation": self.interpolation, "antialias": self.antialias}
-        return self._call_kernel(F.resized_crop, inpt, **params, size=self.size, **options)
-
     def _step(self, dtype: torch.dtype, channels: int) -> Step | None:
-        if dtype not in (torch.uint8, torch.float32) or not self.antialias:
-            return None
-        if interpolation_name("RandomResizedCrop", self.interpolation) != "bilinear":
+        is_bilinear = interpolation_name("RandomResizedCrop", self.interpolation) == "bilinear"
+        if dtype not in (torch.uint8, torch.float32) or not (self.antialias and is_bilinear):
             return None
         options = (("align_corners", False), ("antialias", True))
         return "RandomResizedCrop", (("size", self.size), ("scale", self.scale), ("ratio", self.ratio), *options)
 
 
-class Pad(Transform):
+class Pad(Transform, function=F.pad):
     """Add pixels at the borders.
 
     Args:
@@ -377,26 +302,16 @@ class Pad(Transform):
         torch.Size([3, 12, 8])
     """
 
-    def __init__(self, padding: int | Sequence[int], fill: Fill = 0, padding_mode: str = "constant") -> None:
-        super().__init__()
-        padding = _check.scalars("Pad", "padding", padding)
-        four_paddings(padding)
-        _check_padding_mode("Pad", padding_mode)
-        self.padding = padding if isinstance(padding, int) else list(padding)
-        self.fill, self.padding_mode = fill, padding_mode
+    padding: int | Sequence[int]
+    fill: Fill = 0
+    padding_mode: str = "constant"
 
-    def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
-        return self._call_kernel(
-            F.pad, inpt, self.padding, fill=fill_of(self.fill, inpt), padding_mode=self.padding_mode
-        )
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        four_paddings(_check.scalars("Pad", "padding", self.padding))
 
 
-def _check_padding_mode(op: str, mode: str) -> None:
-    if mode not in PADDING_MODES:
-        raise ValueError(f"{op}: padding_mode must be one of {', '.join(PADDING_MODES)}; got {mode!r}")
-
-
-class RandomZoomOut(RandomTransform):
+class RandomZoomOut(Chance, function=F.pad):
     """Place the image at random on a larger canvas, with a probability.
 
     Args:
@@ -412,14 +327,11 @@ class RandomZoomOut(RandomTransform):
         torch.Size([3, 16, 12])
     """
 
-    draws = False  # of the size
+    fill: Fill = 0
+    side_range: Sequence[float] = (1.0, 4.0)
+    p: float = 0.5
 
-    def __init__(self, fill: Fill = 0, side_range: Sequence[float] = (1.0, 4.0), p: float = 0.5) -> None:
-        super().__init__(p)
-        self.side_range = two("RandomZoomOut", "side_range", side_range, (2,))
-        if not 1 <= self.side_range[0] <= self.side_range[1]:
-            raise ValueError(f"RandomZoomOut: expected side_range of at least 1, increasing, got {side_range}")
-        self.fill = fill
+    draws = False  # of the size
 
     def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
         height, width = size_of(flat_inputs)
@@ -428,9 +340,6 @@ class RandomZoomOut(RandomTransform):
         r = torch.rand(2, device="cpu")
         left, top = int(right * r[0]), int(bottom * r[1])
         return {"padding": [left, top, right - left, bottom - top]}
-
-    def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
-        return self._call_kernel(F.pad, inpt, **params, fill=fill_of(self.fill, inpt))
 
 
 class RandomCrop(Transform):
@@ -451,44 +360,43 @@ class RandomCrop(Transform):
         torch.Size([3, 4, 4])
     """
 
+    size: int | Sequence[int]
+    padding: int | Sequence[int] | None = None
+    pad_if_needed: bool = False
+    fill: Fill = 0
+    padding_mode: str = "constant"
+
     draws = True
 
-    def __init__(
-        self,
-        size: int | Sequence[int],
-        padding: int | Sequence[int] | None = None,
-        pad_if_needed: bool = False,
-        fill: Fill = 0,
-        padding_mode: str = "constant",
-    ) -> None:
-        super().__init__()
-        self.size = two("RandomCrop", "size", size)
-        _check_padding_mode("RandomCrop", padding_mode)
-        self.padding = four_paddings(padding) if padding else None
-        self.pad_if_needed, self.fill, self.padding_mode = pad_if_needed, fill, padding_mode
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._sides = four_paddings(self.padding) if self.padding else [0] * 4
 
     def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
-        size = size_of(flat_inputs)
-        left, right, top, bottom = self.padding or (0, 0, 0, 0)
-        missing = [max(c - n - p, 0) for c, n, p in zip(self.size, size, (top + bottom, left + right))]
-        if any(missing):
-            if not self.pad_if_needed:
-                raise ValueError(f"RandomCrop: expected images of at least {self.size} with their padding, got {size}")
-            top, bottom, left, right = top + missing[0], bottom + missing[0], left + missing[1], right + missing[1]
-        over = size[0] + top + bottom - self.size[0], size[1] + left + right - self.size[1]
-        y, x = (integer(0, n + 1) if n else 0 for n in over)
+        size, crop, (left, right, top, bottom) = size_of(flat_inputs), self._size(), self._sides
+        missing = [max(c - n - p, 0) for c, n, p in zip(crop, size, (top + bottom, left + right))]
+        if any(missing) and not self.pad_if_needed:
+            raise ValueError(f"RandomCrop: expected images of at least {crop} with their padding, got {size}")
+        top, bottom, left, right = top + missing[0], bottom + missing[0], left + missing[1], right + missing[1]
+        over = size[0] + top + bottom - crop[0], size[1] + left + right - crop[1]
+        y, x = (draw.integer(0, n + 1) if n else 0 for n in over)
         return {"padding": [left, top, right, bottom], "top": y, "left": x, "crops": any(over)}
 
     def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
         if any(params["padding"]):
             fill = fill_of(self.fill, inpt)
             inpt = self._call_kernel(F.pad, inpt, params["padding"], fill=fill, padding_mode=self.padding_mode)
-        if params["crops"]:
-            inpt = self._call_kernel(F.crop, inpt, params["top"], params["left"], *self.size)
-        return inpt
+        return (
+            inpt
+            if not params["crops"]
+            else self._call_kernel(F.crop, inpt, params["top"], params["left"], *self._size())
+        )
+
+    def _size(self) -> tuple[int, int]:
+        return argument.two("RandomCrop", "size", self.size)
 
 
-class RandomRotation(Transform):
+class RandomRotation(Transform, function=F.rotate):
     """Rotate by a random angle, counterclockwise.
 
     Args:
@@ -506,29 +414,21 @@ class RandomRotation(Transform):
         torch.Size([3, 8, 6])
     """
 
-    def __init__(
-        self,
-        degrees: float | Sequence[float],
-        interpolation: Interpolation = "nearest",
-        expand: bool = False,
-        center: Sequence[float] | None = None,
-        fill: Fill = 0,
-    ) -> None:
-        super().__init__()
-        self.degrees = interval("RandomRotation", "degrees", degrees)
-        self.interpolation = checked_interpolation(self, interpolation)
-        self.expand, self.center, self.fill = expand, center, fill
-        self.draws = not expand
+    degrees: float | Sequence[float]
+    interpolation: Interpolation = "nearest"
+    expand: bool = False
+    center: Sequence[float] | None = None
+    fill: Fill = 0
+
+    @property
+    def draws(self) -> bool:  # type: ignore[override]  # depends on the size of results
+        return not self.expand
 
     def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
-        return {"angle": uniform(*self.degrees)}
-
-    def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
-        options = {"interpolation": self.interpolation, "expand": self.expand, "center": self.center}
-        return self._call_kernel(F.rotate, inpt, **params, **options, fill=fill_of(self.fill, inpt))
+        return {"angle": draw.uniform(self.degrees)}
 
 
-class RandomAffine(Transform):
+class RandomAffine(Transform, function=F.affine):
     """Warp by a random rotation, translation, scale and shear.
 
     Args:
@@ -548,46 +448,37 @@ class RandomAffine(Transform):
         torch.Size([3, 8, 6])
     """
 
-    draws = True
+    degrees: float | Sequence[float]
+    translate: Sequence[float] | None = None
+    scale: Sequence[float] | None = None
+    shear: float | Sequence[float] | None = None
+    interpolation: Interpolation = "nearest"
+    fill: Fill = 0
+    center: Sequence[float] | None = None
 
-    def __init__(
-        self,
-        degrees: float | Sequence[float],
-        translate: Sequence[float] | None = None,
-        scale: Sequence[float] | None = None,
-        shear: float | Sequence[float] | None = None,
-        interpolation: Interpolation = "nearest",
-        fill: Fill = 0,
-        center: Sequence[float] | None = None,
-    ) -> None:
-        super().__init__()
-        self.degrees = interval("RandomAffine", "degrees", degrees)
-        if translate is not None and not all(0 <= t <= 1 for t in two("RandomAffine", "translate", translate, (2,))):
-            raise ValueError(f"RandomAffine: expected translate in [0, 1], got {translate}")
-        if scale is not None and min(two("RandomAffine", "scale", scale, (2,))) <= 0:
-            raise ValueError(f"RandomAffine: expected scale above 0, got {scale}")
-        self.translate, self.scale = translate, scale
-        self.shear = None if shear is None else interval("RandomAffine", "shear", shear, (2, 4))
-        self.interpolation, self.fill, self.center = checked_interpolation(self, interpolation), fill, center
+    draws = True
+    checks = {"scale": argument.optional(argument.positive_pair), "shear": argument.optional(argument.interval)}
 
     def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
-        height, width = size_of(flat_inputs)
-        angle, translate, scale, shear = uniform(*self.degrees), (0, 0), 1.0, [0.0, 0.0]
+        (height, width), shear, angles = size_of(flat_inputs), [0.0, 0.0], self.shear or ()
+        params: dict[str, Any] = {
+            "angle": draw.uniform(self.degrees),
+            "translate": (0, 0),
+            "scale": 1.0,
+            "shear": shear,
+        }
         if self.translate is not None:
-            x, y = self.translate[0] * width, self.translate[1] * height
-            translate = round(uniform(-x, x)), round(uniform(-y, y))
+            params["translate"] = tuple(
+                round(draw.uniform((-t * n, t * n))) for t, n in zip(self.translate, (width, height))
+            )
         if self.scale is not None:
-            scale = uniform(*self.scale)
-        for i in range(len(self.shear or ()) // 2):
-            shear[i] = uniform(*self.shear[2 * i : 2 * i + 2])  # type: ignore[index]  # not None
-        return {"angle": angle, "translate": translate, "scale": scale, "shear": shear}
-
-    def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
-        options = {"interpolation": self.interpolation, "center": self.center}
-        return self._call_kernel(F.affine, inpt, **params, **options, fill=fill_of(self.fill, inpt))
+            params["scale"] = draw.uniform(self.scale)
+        for i in range(len(angles) // 2):  # type: ignore[arg-type]  # a sequence by now
+            shear[i] = draw.uniform(angles[2 * i : 2 * i + 2])  # type: ignore[index]
+        return params
 
 
-class RandomPerspective(RandomTransform):
+class RandomPerspective(Chance, function=F.perspective):
     """Move the corners at random, with a probability.
 
     Args:
@@ -604,32 +495,24 @@ class RandomPerspective(RandomTransform):
         torch.Size([3, 8, 6])
     """
 
-    def __init__(
-        self,
-        distortion_scale: float = 0.5,
-        p: float = 0.5,
-        interpolation: Interpolation = "bilinear",
-        fill: Fill = 0,
-    ) -> None:
-        super().__init__(p)
-        _check.fraction("RandomPerspective", "distortion_scale", distortion_scale)
-        self.interpolation = checked_interpolation(self, interpolation)
-        self.distortion_scale, self.fill = distortion_scale, fill
+    distortion_scale: float = 0.5
+    p: float = 0.5
+    interpolation: Interpolation = "bilinear"
+    fill: Fill = 0
 
     def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
         height, width = size_of(flat_inputs)
         y, x = (int(self.distortion_scale * (n // 2)) + 1 for n in (height, width))
         left, right, top, bottom = (0, x), (width - x, width), (0, y), (height - y, height)
-        ends = [[integer(*u), integer(*v)] for u, v in ((left, top), (right, top), (right, bottom), (left, bottom))]
+        ends = [
+            [draw.integer(*u), draw.integer(*v)]
+            for u, v in ((left, top), (right, top), (right, bottom), (left, bottom))
+        ]
         starts = [[0, 0], [width - 1, 0], [width - 1, height - 1], [0, height - 1]]
-        return {"coefficients": perspective_coefficients(starts, ends)}
-
-    def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
-        options = {"interpolation": self.interpolation, "fill": fill_of(self.fill, inpt)}
-        return self._call_kernel(F.perspective, inpt, None, None, **params, **options)
+        return {"startpoints": starts, "endpoints": ends}
 
 
-class ElasticTransform(Transform):
+class ElasticTransform(Transform, function=F.elastic):
     """Move the pixels by smooth random displacements.
 
     Args:
@@ -646,33 +529,21 @@ class ElasticTransform(Transform):
         torch.Size([3, 8, 6])
     """
 
+    alpha: float | Sequence[float] = 50.0
+    sigma: float | Sequence[float] = 5.0
+    interpolation: Interpolation = "bilinear"
+    fill: Fill = 0
+
     draws = True
 
-    def __init__(
-        self,
-        alpha: float | Sequence[float] = 50.0,
-        sigma: float | Sequence[float] = 5.0,
-        interpolation: Interpolation = "bilinear",
-        fill: Fill = 0,
-    ) -> None:
-        super().__init__()
-        self.alpha, self.sigma = two("ElasticTransform", "alpha", alpha), two("ElasticTransform", "sigma", sigma)
-        self.interpolation, self.fill = checked_interpolation(self, interpolation), fill
-
     def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
-        size = size_of(flat_inputs)
-        displacements = []
-        for alpha, sigma, pixels in zip(self.alpha, self.sigma, size[::-1]):
+        size, displacements, sigmas = size_of(flat_inputs), [], list(map(float, argument.two_numbers(self.sigma)))
+        for alpha, sigma, pixels in zip(argument.two_numbers(self.alpha), sigmas, size[::-1]):
             d = torch.rand(1, 1, *size, device="cpu") * 2 - 1
             if sigma > 0:
-                window = int(8 * sigma + 1) | 1
-                d = F.gaussian_blur(d, [window, window], [float(s) for s in self.sigma])
+                d = F.gaussian_blur(d, [int(8 * sigma + 1) | 1] * 2, sigmas)
             displacements.append(d[0] * alpha / pixels)
         return {"displacement": torch.stack(displacements, 3)}
-
-    def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
-        options = {"interpolation": self.interpolation, "fill": fill_of(self.fill, inpt)}
-        return self._call_kernel(F.elastic, inpt, **params, **options)
 
 
 class RandomIoUCrop(Transform):
@@ -692,20 +563,12 @@ class RandomIoUCrop(Transform):
         10
     """
 
-    def __init__(
-        self,
-        min_scale: float = 0.3,
-        max_scale: float = 1.0,
-        min_aspect_ratio: float = 0.5,
-        max_aspect_ratio: float = 2.0,
-        sampler_options: list[float] | None = None,
-        trials: int = 40,
-    ) -> None:
-        super().__init__()
-        self.min_scale, self.max_scale = min_scale, max_scale
-        self.min_aspect_ratio, self.max_aspect_ratio = min_aspect_ratio, max_aspect_ratio
-        self.options = [0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0] if sampler_options is None else sampler_options
-        self.trials = trials
+    min_scale: float = 0.3
+    max_scale: float = 1.0
+    min_aspect_ratio: float = 0.5
+    max_aspect_ratio: float = 2.0
+    sampler_options: list[float] | None = None
+    trials: int = 40
 
     def check_inputs(self, flat_inputs: list[Any]) -> None:
         kinds = {kind_of(x) for x in flat_inputs}
@@ -717,10 +580,8 @@ class RandomIoUCrop(Transform):
         boxes = next(x for x in flat_inputs if kind_of(x) == "boxes")
         edges = plain(F.convert_bounding_box_format(boxes, new_format="XYXY"))
         center = (edges[:, :2] + edges[:, 2:]) * 0.5
-        while True:
-            least = self.options[integer(0, len(self.options))]
-            if least >= 1:  # leaves the sample as it is
-                return {}
+        options = self.sampler_options or (0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0)
+        while (least := options[draw.integer(0, len(options))]) < 1:  # which leaves the sample as it is
             for _ in range(self.trials):
                 r = self.min_scale + (self.max_scale - self.min_scale) * torch.rand(2, device="cpu")
                 w, h = int(width * r[0]), int(height * r[1])
@@ -728,25 +589,22 @@ class RandomIoUCrop(Transform):
                     continue
                 r = torch.rand(2, device="cpu")
                 left, top = int((width - w) * r[0]), int((height - h) * r[1])
-                if w == 0 or h == 0:
-                    continue
-                low, high = center.new_tensor([left, top]), center.new_tensor([left + w, top + h])
-                inside = ((low < center) & (center < high)).all(1)
-                if not inside.any() or _overlaps(edges[inside], low, high).max() < least:
-                    continue
-                return {"top": top, "left": left, "height": h, "width": w, "is_within_crop_area": inside}
+                window = edges.new_tensor([left, top, left + w, top + h])
+                inside = ((window[:2] < center) & (center < window[2:])).all(1)
+                if w and h and inside.any() and _overlaps(edges[inside], window).max() >= least:
+                    return {"top": top, "left": left, "height": h, "width": w, "is_within_crop_area": inside}
+        return {}
 
     def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
-        if not params:
-            return inpt
-        window = {name: params[name] for name in ("top", "left", "height", "width")}
-        output = self._call_kernel(F.crop, inpt, **window)
-        if kind_of(output) == "boxes":  # empty, for SanitizeBoundingBoxes
-            output = wrap(plain(output).masked_fill(~params["is_within_crop_area"][:, None], 0), output)
-        return output
+        *window, inside = params.values() or (None,)
+        output = inpt if inside is None else self._call_kernel(F.crop, inpt, *window)
+        if inside is None or kind_of(output) != "boxes":
+            return output
+        return wrap(plain(output).masked_fill(~inside[:, None], 0), output)  # empty, for SanitizeBoundingBoxes
 
 
-def _overlaps(boxes: torch.Tensor, low: torch.Tensor, high: torch.Tensor) -> torch.Tensor:
+def _overlaps(boxes: Tensor, window: Tensor) -> Tensor:
     """Intersection over union of boxes (N, 4), by edges, with one."""
-    common = (torch.minimum(boxes[:, 2:], high) - torch.maximum(boxes[:, :2], low)).clamp(min=0).prod(1)
-    return common / ((boxes[:, 2:] - boxes[:, :2]).prod(1) + (high - low).prod() - common)
+    sizes = torch.minimum(boxes[:, 2:], window[2:]) - torch.maximum(boxes[:, :2], window[:2])
+    common = sizes.clamp(min=0).prod(1)
+    return common / ((boxes[:, 2:] - boxes[:, :2]).prod(1) + (window[2:] - window[:2]).prod() - common)

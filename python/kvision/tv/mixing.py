@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import functools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from enum import Enum
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
@@ -13,25 +14,27 @@ from torch import Tensor
 from kvision import _check
 from kvision._torch_compat import sample_dirichlet, tree_flatten, tree_unflatten
 from kvision._tv_tensors import kind_of, plain, wrap
+from kvision.tv import draw
 from kvision.tv import functional as F
 from kvision.tv.functional.values import largest
 from kvision.tv.geometry import Fill, Interpolation
 from kvision.tv.inputs import pil_to_tensor, to_pil_image
-from kvision.tv.transform import Transform, checked_interpolation, fill_of, integer, size_of, unit
+from kvision.tv.transform import Transform, fill_of, size_of
 from kvision.tv.values import labels_getter_of
 
 
-class _Mix(Transform):
+class _Mix(Transform, kw_only=True):
+    alpha: float = 1.0
+    num_classes: int | None = None
+    labels_getter: Any = "default"
+
     kinds = frozenset({"tensor", "image", "video"})
     mixes_samples = True
 
-    def __init__(self, *, alpha: float = 1.0, num_classes: int | None = None, labels_getter: Any = "default") -> None:
-        super().__init__()
-        self.alpha, self.num_classes = float(alpha), num_classes
-        self._beta = torch.distributions.Beta(
-            torch.tensor([self.alpha], device="cpu"), torch.tensor([self.alpha], device="cpu")
-        )
-        self._labels_getter = labels_getter_of(labels_getter)
+    def _share(self) -> float:
+        """A draw of the Beta distribution."""
+        alpha = torch.tensor([float(self.alpha)], device="cpu")
+        return float(torch.distributions.Beta(alpha, alpha).sample(()))
 
     def forward(self, *inputs: Any) -> Any:
         sample, name = inputs if len(inputs) > 1 else inputs[0], type(self).__name__
@@ -39,7 +42,7 @@ class _Mix(Transform):
         needed = self._needed(flat)
         if any(kind_of(x) in ("pil", "boxes", "mask", "points") for x in flat):
             raise ValueError(f"{name}: expected a sample without PIL images, boxes, masks and key points")
-        labels = self._labels_getter(sample)
+        labels = labels_getter_of(self.labels_getter)(sample)
         if not isinstance(labels, Tensor) or labels.dim() not in (1, 2):
             raise ValueError(f"{name}: expected labels (B,) or (B, classes), got {labels!r}")
         if labels.dim() == 1 and self.num_classes is None:
@@ -72,7 +75,7 @@ class _Mix(Transform):
         return labels.roll(1, 0).mul_(1 - share).add_(labels, alpha=share)
 
 
-class MixUp(_Mix):
+class MixUp(_Mix, kw_only=True):
     """Mix each sample of a batch with its neighbor, images and labels.
 
     Args:
@@ -90,14 +93,14 @@ class MixUp(_Mix):
     """
 
     def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
-        return {"share": float(self._beta.sample(()))}
+        return {"share": self._share()}
 
     def _mixed(self, x: Tensor, params: dict[str, Any]) -> Tensor:
         share = params["share"]
         return x.roll(1, 0).mul_(1 - share).add_(x.mul(share))
 
 
-class CutMix(_Mix):
+class CutMix(_Mix, kw_only=True):
     """Replace a window of each sample of a batch by its neighbor's, and mix the labels.
 
     Args:
@@ -116,8 +119,8 @@ class CutMix(_Mix):
 
     def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
         height, width = size_of(flat_inputs)
-        r = 0.5 * math.sqrt(1 - float(self._beta.sample(())))
-        x, y = integer(0, width), integer(0, height)
+        r = 0.5 * math.sqrt(1 - self._share())
+        x, y = draw.integer(0, width), draw.integer(0, height)
         w, h = int(r * width), int(r * height)
         left, top, right, bottom = max(x - w, 0), max(y - h, 0), min(x + w, width), min(y + h, height)
         share = 1.0 - (right - left) * (bottom - top) / (width * height)
@@ -149,15 +152,16 @@ class AutoAugmentPolicy(Enum):
 
 
 # Magnitudes of an operation by the number of bins and the image's height and width, and whether their sign is drawn.
-_Space = dict[str, tuple[Callable[[int, int, int], Tensor | None], bool]]
+_Magnitudes = Callable[[int, int, int], Sequence[float] | None]
+_Space = dict[str, tuple[_Magnitudes, bool]]
 
 
-def _linear(low: float, high: float) -> Callable[[int, int, int], Tensor]:
-    return lambda bins, height, width: torch.linspace(low, high, bins, device="cpu")
+def _linear(low: float, high: float) -> _Magnitudes:
+    return functools.lru_cache(64)(lambda bins, height, width: torch.linspace(low, high, bins, device="cpu").tolist())
 
 
-def _posterize(most: int, lost: int) -> Callable[[int, int, int], Tensor]:
-    return lambda bins, height, width: (most - torch.arange(bins, device="cpu") / ((bins - 1) / lost)).round().int()
+def _posterize(most: int, lost: int) -> _Magnitudes:
+    return lambda bins, height, width: [round(most - i / ((bins - 1) / lost)) for i in range(bins)]
 
 
 def _none(bins: int, height: int, width: int) -> None:
@@ -176,8 +180,14 @@ def _space(shear: float, x: Any, y: Any, angle: float, color: float, bits: tuple
     return space | colors | levels | ({"Invert": (_none, False)} if further == "Invert" else {})
 
 
-def _share_of(side: str, share: float) -> Callable[[int, int, int], Tensor]:
-    return lambda bins, height, width: torch.linspace(0, share * (width if side == "x" else height), bins, device="cpu")
+def _share_of(side: str, share: float) -> _Magnitudes:
+    @functools.lru_cache(64)
+    def magnitudes(bins: int, height: int, width: int) -> list[float]:
+        most = share * (width if side == "x" else height)
+        values: list[float] = torch.linspace(0, most, bins, device="cpu").tolist()
+        return values
+
+    return magnitudes
 
 
 _ROWS: dict[str, Callable[[float], dict[str, Any]]] = {
@@ -198,18 +208,15 @@ _PLAIN = {"AutoContrast": F.autocontrast, "Equalize": F.equalize, "Invert": F.in
 class _Policy(Transform):
     draws = True
     kinds = frozenset({"tensor", "image", "video", "pil"})
-    space: _Space
-
-    def __init__(self, interpolation: Interpolation, fill: Fill) -> None:
-        super().__init__()
-        self.interpolation, self.fill = checked_interpolation(self, interpolation), fill
+    refused = frozenset({"boxes", "mask", "points"})
+    space: ClassVar[_Space] = _space(
+        0.3, _share_of("x", 150 / 331), _share_of("y", 150 / 331), 30, 0.9, (8, 4), "Identity"
+    )
 
     def check_inputs(self, flat_inputs: list[Any]) -> None:
-        name, kinds = type(self).__name__, [kind_of(x) for x in flat_inputs]
-        if any(kind in ("boxes", "mask", "points") for kind in kinds):
-            raise TypeError(f"{name}: expected a sample without boxes, masks and key points")
+        super().check_inputs(flat_inputs)
         if (images := sum(self._needed(flat_inputs))) != 1:
-            raise TypeError(f"{name}: expected one image or video in the sample, got {images}")
+            raise TypeError(f"{type(self).__name__}: expected one image or video in the sample, got {images}")
 
     def _drawn_magnitude(self, name: str, bins: int, index: int | None, size: tuple[int, int]) -> float:
         """The magnitude of an operation at an index, None for a random one, with its sign."""
@@ -217,11 +224,11 @@ class _Policy(Transform):
         magnitudes = of_bins(bins, *size)
         if magnitudes is None:
             return 0.0
-        number = float(magnitudes[integer(0, bins) if index is None else index])
-        return -number if signed and unit() <= 0.5 else number
+        number = float(magnitudes[draw.integer(0, bins) if index is None else index])
+        return -number if signed and draw.unit() <= 0.5 else number
 
     def _choose(self, space: _Space) -> str:
-        return tuple(space)[integer(0, len(space))]
+        return tuple(space)[draw.integer(0, len(space))]
 
     def _operate(self, x: Any, name: str, magnitude: float) -> Any:
         fill = fill_of(self.fill, x)
@@ -265,27 +272,23 @@ class AutoAugment(_Policy):
         torch.Size([3, 8, 6])
     """
 
+    policy: AutoAugmentPolicy = AutoAugmentPolicy.IMAGENET
+    interpolation: Interpolation = "nearest"
+    fill: Fill = None
+
     space = _space(0.3, _share_of("x", 150 / 331), _share_of("y", 150 / 331), 30, 0.9, (8, 4), "Invert")
 
-    def __init__(
-        self,
-        policy: AutoAugmentPolicy = AutoAugmentPolicy.IMAGENET,
-        interpolation: Interpolation = "nearest",
-        fill: Fill = None,
-    ) -> None:
+    def __post_init__(self) -> None:
         from kvision.augmentation.auto.policies import AUTO_POLICIES, parse_policy
 
-        super().__init__(interpolation, fill)
-        self.policy = policy
-        self._entries = [
-            [(_OPERATIONS.get(name, name.title()), p, level) for name, p, level in row]
-            for row in parse_policy(AUTO_POLICIES[AutoAugmentPolicy(getattr(policy, "value", policy)).value])
-        ]
+        super().__post_init__()
+        rows = parse_policy(AUTO_POLICIES[AutoAugmentPolicy(getattr(self.policy, "value", self.policy)).value])
+        self._entries = [[(_OPERATIONS.get(n, n.title()), p, level) for n, p, level in row] for row in rows]
 
     def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
         size = size_of([inpt])
-        for name, p, level in self._entries[integer(0, len(self._entries))]:
-            if unit() <= p:
+        for name, p, level in self._entries[draw.integer(0, len(self._entries))]:
+            if draw.unit() <= p:
                 inpt = self._operate(inpt, name, self._drawn_magnitude(name, 10, level, size))
         return inpt
 
@@ -308,21 +311,13 @@ class RandAugment(_Policy):
         torch.Size([3, 8, 6])
     """
 
-    space = _space(0.3, _share_of("x", 150 / 331), _share_of("y", 150 / 331), 30, 0.9, (8, 4), "Identity")
+    num_ops: int = 2
+    magnitude: int = 9
+    num_magnitude_bins: int = 31
+    interpolation: Interpolation = "nearest"
+    fill: Fill = None
 
-    def __init__(
-        self,
-        num_ops: int = 2,
-        magnitude: int = 9,
-        num_magnitude_bins: int = 31,
-        interpolation: Interpolation = "nearest",
-        fill: Fill = None,
-    ) -> None:
-        super().__init__(interpolation, fill)
-        num_ops = _check.scalar("RandAugment", "num_ops", num_ops)
-        if not isinstance(num_ops, int) or num_ops < 0:
-            raise ValueError(f"RandAugment: expected num_ops to be an int of at least 0, got {num_ops!r}")
-        self.num_ops, self.magnitude, self.num_magnitude_bins = num_ops, magnitude, num_magnitude_bins
+    checks = {"num_ops": lambda op, name, value: _check.ints(op, name, value, 1, 0)[0]}
 
     def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
         for _ in range(self.num_ops):
@@ -348,13 +343,11 @@ class TrivialAugmentWide(_Policy):
         torch.Size([3, 8, 6])
     """
 
-    space = _space(0.99, _linear(0, 32), _linear(0, 32), 135, 0.99, (8, 6), "Identity")
+    num_magnitude_bins: int = 31
+    interpolation: Interpolation = "nearest"
+    fill: Fill = None
 
-    def __init__(
-        self, num_magnitude_bins: int = 31, interpolation: Interpolation = "nearest", fill: Fill = None
-    ) -> None:
-        super().__init__(interpolation, fill)
-        self.num_magnitude_bins = num_magnitude_bins
+    space = _space(0.99, _linear(0, 32), _linear(0, 32), 135, 0.99, (8, 6), "Identity")
 
     def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
         name = self._choose(self.space)
@@ -381,25 +374,18 @@ class AugMix(_Policy):
         torch.Size([3, 8, 6])
     """
 
+    severity: int = 3
+    mixture_width: int = 3
+    chain_depth: int = -1
+    alpha: float = 1.0
+    all_ops: bool = True
+    interpolation: Interpolation = "bilinear"
+    fill: Fill = None
+
     space = _space(0.3, _share_of("x", 1 / 3), _share_of("y", 1 / 3), 30, 0.9, (4, 4), "last")
     bins = 10
+    checks = {"severity": lambda op, name, value: _check.ints(op, name, value, 1, 1, 10)[0]}
     _applies_functions = False
-
-    def __init__(
-        self,
-        severity: int = 3,
-        mixture_width: int = 3,
-        chain_depth: int = -1,
-        alpha: float = 1.0,
-        all_ops: bool = True,
-        interpolation: Interpolation = "bilinear",
-        fill: Fill = None,
-    ) -> None:
-        super().__init__(interpolation, fill)
-        if not 1 <= severity <= self.bins:
-            raise ValueError(f"AugMix: expected severity of 1 to {self.bins}, got {severity}")
-        self.severity, self.mixture_width, self.chain_depth = severity, mixture_width, chain_depth
-        self.alpha, self.all_ops = alpha, all_ops
 
     def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
         image = pil_to_tensor(inpt) if kind_of(inpt) == "pil" else plain(inpt)
@@ -417,9 +403,9 @@ class AugMix(_Policy):
         mix = kept.reshape(weights) * image
         for i in range(self.mixture_width):
             chain = image
-            for _ in range(self.chain_depth if self.chain_depth > 0 else integer(1, 4)):
+            for _ in range(self.chain_depth if self.chain_depth > 0 else draw.integer(1, 4)):
                 name = self._choose(space)
-                index = None if space[name][0] is _none else integer(0, self.severity)
+                index = None if space[name][0] is _none else draw.integer(0, self.severity)
                 chain = self._operate(chain, name, self._drawn_magnitude(name, self.bins, index, size_of([image])))
             mix += shares[:, i].reshape(weights) * chain
         mix = mix.to(image.dtype)

@@ -2,23 +2,24 @@
 
 from __future__ import annotations
 
+import dataclasses
 import enum
 import functools
+import inspect
 import itertools
-import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import Any
 
 import torch
 from torch import nn
+from typing_extensions import Self, dataclass_transform
 
-from kvision import _check
 from kvision._torch_compat import tree_flatten, tree_unflatten
 from kvision._tv_tensors import TV_TENSORS, kind_of, plain, wrap
-from kvision.tv.functional.dispatch import takes
-from kvision.tv.functional.geometry import interpolation_name
+from kvision.tv import argument, draw
+from kvision.tv.functional.dispatch import on_device, takes
 from kvision.tv.inputs import EVERYTHING, IMAGES, LABELS, channels_of, height_and_width
 
 Step = tuple[str, Any]
@@ -28,8 +29,6 @@ _ALL_TENSORS = EVERYTHING | {"tv_tensor"}
 _once: ContextVar[bool] = ContextVar("kvision.tv draws once", default=False)
 # Where set, calls of functions are noted, not made: those of a sample of a batch.
 _calls: ContextVar[list[Any] | None] = ContextVar("kvision.tv calls", default=None)
-# Where set, the source of numbers in [0, 1): those of a batch are drawn together.
-_numbers: ContextVar[Iterator[float] | None] = ContextVar("kvision.tv numbers", default=None)
 
 
 @contextmanager
@@ -41,6 +40,7 @@ def draws_once() -> Iterator[None]:
         _once.reset(token)
 
 
+@dataclass_transform(eq_default=False)
 class Transform(nn.Module):
     """The base of transforms of your own, with the methods of v2's: make_params, transform and check_inputs.
 
@@ -59,17 +59,48 @@ class Transform(nn.Module):
 
     kinds: frozenset[str] = _ALL_TENSORS
     """The kinds of inputs that are transformed."""
+    refused: frozenset[str] = frozenset()
+    """The kinds of inputs that a sample must not have."""
     draws: bool = False
     """Whether each sample of a batch (B, C, H, W) draws numbers of its own."""
+    checks: Mapping[str, argument.Check] = {}
+    """What makes arguments of a constructor what is kept of them, where it is not what `argument.CHECKS` says."""
     _applies_functions = True  # of the size alone, so that calls of all samples can be made together
+    _function: Callable[..., Any] | None = None
+    _options: tuple[str, ...] = ()  # the fields of the class that its function takes
 
-    def __init_subclass__(cls, **kwargs: Any) -> None:
+    # In this package a class is its fields, which are the arguments of v2's constructor, what it draws, and the function that is
+    # applied by both.
+
+    def __new__(cls, *args: Any, **kwargs: Any) -> Self:
+        self = super().__new__(cls)
+        nn.Module.__init__(self)  # before the fields are set
+        return self
+
+    def __init_subclass__(
+        cls, function: Callable[..., Any] | None = None, kw_only: bool = False, **kwargs: Any
+    ) -> None:
         super().__init_subclass__(**kwargs)
         if not cls.__module__.startswith("kvision.tv."):
             cls._applies_functions = False
+            return
+        dataclasses.dataclass(eq=False, repr=False, kw_only=kw_only)(cls)
+        if function is not None:
+            cls._function = staticmethod(function)
+            fields = cls.__dataclass_fields__  # type: ignore[attr-defined]  # of a dataclass
+            cls._options = tuple(name for name in inspect.signature(function).parameters if name in fields)
+
+    def __post_init__(self) -> None:
+        op = type(self).__name__
+        for name in getattr(self, "__dataclass_fields__", ()):
+            check = self.checks.get(name) or argument.CHECKS.get(name)
+            if check is not None:
+                setattr(self, name, check(op, name, getattr(self, name)))
 
     def check_inputs(self, flat_inputs: list[Any]) -> None:
         """Raise for a sample that cannot be transformed."""
+        if self.refused and not self.refused.isdisjoint(kind_of(x) for x in flat_inputs):
+            raise TypeError(f"{type(self).__name__}: expected a sample without {', '.join(sorted(self.refused))}")
 
     def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
         """Draw the parameters of a sample, given its inputs that are transformed."""
@@ -77,7 +108,16 @@ class Transform(nn.Module):
 
     def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
         """Transform an input by the parameters."""
-        raise NotImplementedError
+        if self._function is None:
+            raise NotImplementedError(f"{type(self).__name__}.transform")
+        return self._call_kernel(self._function, inpt, **{**self._options_for(inpt), **params})
+
+    def _options_for(self, inpt: Any) -> dict[str, Any]:
+        """What the function of the class gets beside the parameters."""
+        options = {name: getattr(self, name) for name in self._options}
+        if isinstance(options.get("fill"), dict):
+            options["fill"] = fill_of(options["fill"], inpt)
+        return options
 
     def _step(self, dtype: torch.dtype, channels: int) -> Step | None:
         """What this is of kvision.augmentation for a batch of images: a class and its arguments, or "dtype" and the type."""
@@ -85,7 +125,7 @@ class Transform(nn.Module):
 
     def _call_kernel(self, functional: Callable[..., Any], inpt: Any, *args: Any, **kwargs: Any) -> Any:
         """Apply a function of kvision.tv.functional, which passes on what it does not change."""
-        if not takes(functional, inpt):
+        if hasattr(functional, "kinds") and not takes(functional, inpt):
             return inpt
         calls = _calls.get()
         if calls is None:
@@ -124,24 +164,26 @@ class Transform(nn.Module):
 
     def _each(self, flat: list[Any], needed: list[bool], samples: int) -> list[Any]:
         """Transform each sample of a batch by numbers of its own. The first way defines what the second one gives."""
-        token = _numbers.set(_unit_numbers())
-        try:
+        with draw.together():
             if not self._applies_functions:
                 return join([self._flat(sample, needed) for sample in split(flat, needed, samples)], flat, needed)
             first = next(split(flat, needed, samples))  # samples are of one size
-            inputs = [x for x, is_needed in zip(first, needed) if is_needed]
+            inputs = _Inputs(x for x, is_needed in zip(first, needed) if is_needed)
             params = [self._drawn(inputs) for _ in range(samples)]
-            calls = [[self._calls_of(x, p) for p in params] if is_needed else [] for x, is_needed in zip(first, needed)]
-        finally:
-            _numbers.reset(token)
+            calls = [self._calls_of(x, params) if is_needed else [] for x, is_needed in zip(first, needed)]
         return [apply_calls(x, c) if is_needed else x for x, c, is_needed in zip(flat, calls, needed)]
 
-    def _calls_of(self, x: Any, params: dict[str, Any] | None) -> list[Any]:
-        calls: list[Any] = []
-        if params is not None:
-            token = _calls.set(calls)
+    def _calls_of(self, x: Any, params: list[dict[str, Any] | None]) -> list[list[Any]]:
+        """The calls of functions that transform each sample."""
+        calls: list[list[Any]] = [[] for _ in params]
+        if type(self).transform is Transform.transform and self._function is not None:
+            options = self._options_for(x) if takes(self._function, x) else None
+            return [[] if p is None or options is None else [(self._function, ((), {**options, **p}))] for p in params]
+        for own, p in zip(calls, params):
+            token = _calls.set(own)
             try:
-                self.transform(x, params)
+                if p is not None:
+                    self.transform(x, p)
             finally:
                 _calls.reset(token)
         return calls
@@ -179,7 +221,16 @@ def join(results: list[list[Any]], flat: list[Any], needed: list[bool]) -> list[
     return [wrap(torch.stack([plain(y) for y in ys]), x) if is_needed else x for ys, x, is_needed in columns]
 
 
-class RandomTransform(Transform):
+class Chance(Transform):
+    """What is applied with a probability `p`, a field of subclasses."""
+
+    draws = True
+
+    def _drawn(self, inputs: list[Any]) -> dict[str, Any] | None:
+        return super()._drawn(inputs) if draw.unit() < self.p else None  # type: ignore[operator]  # a field of subclasses
+
+
+class RandomTransform(Chance):
     """The base of transforms that are applied with a probability `p`.
 
     Args:
@@ -191,14 +242,7 @@ class RandomTransform(Transform):
         RandomInvert(p=0.2)
     """
 
-    draws = True
-
-    def __init__(self, p: float = 0.5) -> None:
-        super().__init__()
-        self.p = _check.fraction(type(self).__name__, "p", p)
-
-    def _drawn(self, inputs: list[Any]) -> dict[str, Any] | None:
-        return super()._drawn(inputs) if unit() < self.p else None
+    p: float = 0.5
 
 
 def apply_calls(x: Any, calls: list[list[Any]]) -> Any:
@@ -208,21 +252,19 @@ def apply_calls(x: Any, calls: list[list[Any]]) -> Any:
         for i, call in enumerate(turn):
             if call is not None:
                 by_function.setdefault(call[0], []).append(i)
-        source = x
+        source, is_copy = x, False
         for function, chosen in by_function.items():
-            x = at_samples(
-                functools.partial(function.of_each, arguments=[turn[i][1] for i in chosen]), x, chosen, source
-            )
+            is_neutral = function.neutral is not None and source.is_cuda and kind_of(source) in ("tensor", "image")
+            if len(chosen) == len(source) or is_neutral:  # which takes fewer launches
+                others = ((), function.neutral)
+                x = function.of_each(x, [call[1] if call and call[0] is function else others for call in turn])
+                is_copy = False  # for all we know
+                continue
+            index = on_device(chosen, source.device)
+            part = function.of_each(at(source, index), [turn[i][1] for i in chosen])
+            target = plain(x) if is_copy else plain(x).clone()
+            x, is_copy = wrap(target.index_copy_(0, index, plain(part)), source), True
     return x
-
-
-def at_samples(function: Callable[[Any], Any], x: Any, chosen: list[int], source: Any = None) -> Any:
-    """`x` with the results of a function of the `chosen` samples of `source`, by default of `x`."""
-    source = x if source is None else source
-    if len(chosen) == len(x):
-        return function(source)
-    index = torch.tensor(chosen, device=x.device)
-    return wrap(plain(x).index_copy(0, index, plain(function(at(source, index)))), x)
 
 
 def at(x: Any, chosen: Any) -> Any:
@@ -230,53 +272,21 @@ def at(x: Any, chosen: Any) -> Any:
     return wrap(plain(x)[chosen], x)
 
 
-# --- draws as v2's, in its order, so that a seed draws the same -----------------------------------------------------
-
-
-def _unit_numbers() -> Iterator[float]:
-    while True:
-        yield from torch.rand(256, dtype=torch.float64, device="cpu").tolist()
-
-
-def unit() -> float:
-    numbers = _numbers.get()
-    return torch.rand(1, device="cpu").item() if numbers is None else next(numbers)
-
-
-def uniform(low: float, high: float) -> float:
-    numbers = _numbers.get()
-    if numbers is None:
-        return torch.empty(1, device="cpu").uniform_(low, high).item()
-    return low + next(numbers) * (high - low)
-
-
-def log_uniform(low: float, high: float) -> float:
-    """Between exp(low) and exp(high)."""
-    if _numbers.get() is None:
-        return torch.exp(torch.empty(1, device="cpu").uniform_(low, high)).item()
-    return math.exp(uniform(low, high))
-
-
-def integer(low: int, high: int) -> int:
-    """Of [low, high)."""
-    numbers = _numbers.get()
-    if numbers is None:
-        return int(torch.randint(low, high, (1,), device="cpu").item())
-    return low + int(next(numbers) * (high - low))
-
-
-def permutation(n: int) -> list[int]:
-    numbers = _numbers.get()
-    return (
-        torch.randperm(n, device="cpu").tolist() if numbers is None else sorted(range(n), key=lambda _: next(numbers))
-    )
-
-
 # --- what a sample holds --------------------------------------------------------------------------------------------
+
+
+class _Inputs(list[Any]):
+    """Inputs of which the size is asked for many samples."""
+
+    @functools.cached_property
+    def size(self) -> tuple[int, int]:
+        return size_of(list(self))
 
 
 def size_of(flat: Sequence[Any]) -> tuple[int, int]:
     """The height and width that all inputs have."""
+    if isinstance(flat, _Inputs):
+        return flat.size
     sizes = {height_and_width(x) for x in flat if kind_of(x) in EVERYTHING}
     if len(sizes) == 1:
         return sizes.pop()
@@ -292,51 +302,6 @@ def channels_in(flat: Sequence[Any]) -> int:
     if not channels:
         raise TypeError("expected an image or a video in the sample, got none")
     raise ValueError(f"expected images of one number of channels in the sample, got {sorted(channels)}")
-
-
-# --- arguments ------------------------------------------------------------------------------------------------------
-
-
-def two(op: str, name: str, value: Any, count: Sequence[int] = (1, 2)) -> tuple[Any, ...]:
-    """A number as two, or a sequence of one or two."""
-    value = _check.scalars(op, name, value)
-    if isinstance(value, (int, float)):
-        return value, value
-    if not isinstance(value, (tuple, list)) or len(value) not in count:
-        raise ValueError(
-            f"{op}: expected {name} to be a number or {' or '.join(map(str, count))} of them, got {value!r}"
-        )
-    return tuple(value) if len(value) > 1 else (value[0], value[0])
-
-
-def pair(op: str, name: str, value: Any) -> tuple[float, float]:
-    """Two numbers in ascending order."""
-    value = _check.scalars(op, name, value)
-    if not isinstance(value, (tuple, list)) or len(value) != 2:
-        raise TypeError(f"{op}: expected {name} to be a pair of numbers, got {value!r}")
-    low, high = (_check.number(op, name, v) for v in value)
-    if not low <= high:
-        raise ValueError(f"{op}: expected {name} in ascending order, got {value!r}")
-    return low, high
-
-
-def interval(op: str, name: str, value: Any, counts: Sequence[int] = (2,)) -> list[float]:
-    """A number a as [-a, a], or a sequence."""
-    value = _check.scalars(op, name, value)
-    if isinstance(value, (int, float)):
-        if value < 0:
-            raise ValueError(f"{op}: expected {name} of at least 0, got {value}")
-        return [-float(value), float(value)]
-    if not isinstance(value, (tuple, list)) or len(value) not in counts:
-        raise ValueError(
-            f"{op}: expected {name} to be a number or {' or '.join(map(str, counts))} of them, got {value!r}"
-        )
-    return [float(v) for v in value]
-
-
-def checked_interpolation(transform: Any, interpolation: Any) -> Any:
-    interpolation_name(type(transform).__name__, interpolation)
-    return interpolation
 
 
 def fill_of(fill: Any, x: Any) -> Any:

@@ -11,6 +11,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._torch_compat import tree_flatten, tree_unflatten
 from kvision._tv_tensors import TV_TENSORS, kind_of, plain, wrap
+from kvision.tv import argument
 from kvision.tv import functional as F
 from kvision.tv.inputs import PIXELS
 from kvision.tv.transform import Step, Transform
@@ -70,20 +71,19 @@ class LinearTransformation(Transform):
         torch.Size([3, 2, 2])
     """
 
+    transformation_matrix: Tensor
+    mean_vector: Tensor
+
     kinds = frozenset({"tensor", "image", "video"})
+    refused = frozenset({"pil"})
 
-    def __init__(self, transformation_matrix: Tensor, mean_vector: Tensor) -> None:
-        super().__init__()
-        _check.shape("LinearTransformation", "mean_vector", mean_vector, "D")
-        n = mean_vector.shape[0]
-        _check.shape("LinearTransformation", "transformation_matrix", transformation_matrix, n, n)
-        for name in ("device", "dtype"):
-            if getattr(transformation_matrix, name) != getattr(mean_vector, name):
-                raise ValueError(f"LinearTransformation: expected matrix and mean_vector of one {name}")
-        self.transformation_matrix, self.mean_vector = transformation_matrix, mean_vector
-
-    def check_inputs(self, flat_inputs: list[Any]) -> None:
-        refuse_pil("LinearTransformation", flat_inputs)
+    def __post_init__(self) -> None:
+        op, mean, matrix = "LinearTransformation", self.mean_vector, self.transformation_matrix
+        _check.shape(op, "mean_vector", mean, "D")
+        _check.shape(op, "transformation_matrix", matrix, len(mean), len(mean))
+        _check.same_device(op, mean_vector=mean, transformation_matrix=matrix)
+        if matrix.dtype != mean.dtype:
+            raise ValueError(f"{op}: expected matrix and mean_vector of one dtype, got {matrix.dtype} and {mean.dtype}")
 
     def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
         x, n = plain(inpt), self.mean_vector.shape[0]
@@ -93,12 +93,13 @@ class LinearTransformation(Transform):
         return wrap((flat @ self.transformation_matrix.to(flat.dtype)).reshape(x.shape), inpt)
 
 
-def refuse_pil(op: str, flat: list[Any]) -> None:
-    if any(kind_of(x) == "pil" for x in flat):
-        raise TypeError(f"{op}: expected tensors, got a PIL image; put ToImage before")
+def _dtypes(op: str, name: str, value: Any) -> Any:
+    if not isinstance(value, (dict, torch.dtype)) or value == {}:
+        raise ValueError(f"{op}: expected {name} to be a torch.dtype or a dict of them, got {value!r}")
+    return value
 
 
-class Normalize(Transform):
+class Normalize(Transform, function=F.normalize):
     """Subtract means from the channels and divide by standard deviations.
 
     Args:
@@ -113,18 +114,12 @@ class Normalize(Transform):
         tensor([[[2.]]])
     """
 
-    def __init__(self, mean: Sequence[float], std: Sequence[float], inplace: bool = False) -> None:
-        super().__init__()
-        self.mean, self.std = (
-            [_check.number("Normalize", name, x) for x in values] for name, values in (("mean", mean), ("std", std))
-        )
-        self.inplace = inplace
+    mean: Sequence[float]
+    std: Sequence[float]
+    inplace: bool = False
 
-    def check_inputs(self, flat_inputs: list[Any]) -> None:
-        refuse_pil("Normalize", flat_inputs)
-
-    def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
-        return self._call_kernel(F.normalize, inpt, self.mean, self.std, self.inplace)
+    refused = frozenset({"pil"})
+    checks = dict.fromkeys(("mean", "std"), lambda op, name, values: [_check.number(op, name, x) for x in values])
 
     def _step(self, dtype: torch.dtype, channels: int) -> Step | None:
         fits = dtype == torch.float32 and channels == len(self.mean) == len(self.std) == 3 and max(self.mean) <= 1
@@ -133,7 +128,7 @@ class Normalize(Transform):
         return "Normalize", (("mean", tuple(self.mean)), ("std", tuple(self.std)))
 
 
-class ToDtype(Transform):
+class ToDtype(Transform, function=F.to_dtype):
     """Convert to another type.
 
     Args:
@@ -147,15 +142,11 @@ class ToDtype(Transform):
         tensor([[[1.]]])
     """
 
-    kinds = Transform.kinds - {"pil"}
+    dtype: torch.dtype | dict[Any, torch.dtype | None]
+    scale: bool = False
 
-    def __init__(self, dtype: torch.dtype | dict[Any, torch.dtype | None], scale: bool = False) -> None:
-        super().__init__()
-        if not isinstance(dtype, (dict, torch.dtype)):
-            raise ValueError(f"ToDtype: expected dtype to be a torch.dtype or a dict of them, got {dtype!r}")
-        if dtype == {}:
-            raise ValueError("ToDtype: expected dtype to name a class, got {}")
-        self.dtype, self.scale = dtype, scale
+    kinds = Transform.kinds - {"pil"}
+    checks = {"dtype": _dtypes, "scale": _check.switch}
 
     def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
         if isinstance(self.dtype, torch.dtype):
@@ -164,13 +155,13 @@ class ToDtype(Transform):
             dtype = self.dtype.get(type(inpt), self.dtype.get("others"))
         else:
             raise ValueError(f"ToDtype: expected a dtype of {type(inpt).__name__}, or of 'others', got {self.dtype}")
-        return inpt if dtype is None else self._call_kernel(F.to_dtype, inpt, dtype=dtype, scale=self.scale)
+        return inpt if dtype is None else super().transform(inpt, {"dtype": dtype})
 
     def _step(self, dtype: torch.dtype, channels: int) -> Step | None:
         return ("dtype", torch.float32) if self.dtype == torch.float32 and self.scale and dtype == torch.uint8 else None
 
 
-class ConvertImageDtype(Transform):
+class ConvertImageDtype(Transform, function=F.to_dtype):
     """Convert images to another type; white stays white.
 
     Args:
@@ -183,17 +174,15 @@ class ConvertImageDtype(Transform):
         tensor([[[1.]]])
     """
 
+    dtype: torch.dtype = torch.float32
+
     kinds = Transform.kinds - {"pil"}
 
-    def __init__(self, dtype: torch.dtype = torch.float32) -> None:
-        super().__init__()
-        self.dtype = dtype
-
-    def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
-        return self._call_kernel(F.to_dtype, inpt, dtype=self.dtype, scale=True)
+    def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
+        return {"scale": True}
 
 
-class PILToTensor(Transform):
+class PILToTensor(Transform, function=F.pil_to_tensor):
     """Copy PIL images into tensors.
 
     Example:
@@ -204,9 +193,6 @@ class PILToTensor(Transform):
     """
 
     kinds = frozenset({"pil"})
-
-    def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
-        return F.pil_to_tensor(inpt)
 
 
 class ToTensor(Transform):
@@ -231,7 +217,7 @@ class ToTensor(Transform):
         return x.to(torch.get_default_dtype()) if x.dtype == torch.bool else x
 
 
-class ToImage(Transform):
+class ToImage(Transform, function=F.to_image):
     """Make tv_tensors.Image of tensors, arrays and PIL images.
 
     Example:
@@ -243,11 +229,8 @@ class ToImage(Transform):
 
     kinds = frozenset({"tensor", "pil", "array"})
 
-    def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
-        return F.to_image(inpt)
 
-
-class ToPILImage(Transform):
+class ToPILImage(Transform, function=F.to_pil_image):
     """Make PIL images of tensors and arrays.
 
     Args:
@@ -260,17 +243,12 @@ class ToPILImage(Transform):
         (4, 2)
     """
 
+    mode: str | None = None
+
     kinds = frozenset({"tensor", "image", "array"})
 
-    def __init__(self, mode: str | None = None) -> None:
-        super().__init__()
-        self.mode = mode
 
-    def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
-        return F.to_pil_image(plain(inpt) if isinstance(inpt, Tensor) else inpt, self.mode)
-
-
-class ToPureTensor(Transform):
+class ToPureTensor(Transform, function=plain):
     """Make plain tensors of tv_tensors.
 
     Example:
@@ -282,11 +260,8 @@ class ToPureTensor(Transform):
 
     kinds = TV_TENSORS
 
-    def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
-        return plain(inpt)
 
-
-class UniformTemporalSubsample(Transform):
+class UniformTemporalSubsample(Transform, function=F.uniform_temporal_subsample):
     """Choose frames at equal distances from videos (*, T, C, H, W).
 
     Args:
@@ -299,20 +274,15 @@ class UniformTemporalSubsample(Transform):
         torch.Size([2, 3, 8, 6])
     """
 
+    num_samples: int
+
     kinds = frozenset({"tensor", "video"})
-
-    def __init__(self, num_samples: int) -> None:
-        super().__init__()
-        (self.num_samples,) = _check.ints("UniformTemporalSubsample", "num_samples", num_samples, 1)
-
-    def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
-        return F.uniform_temporal_subsample(inpt, self.num_samples)
 
 
 # --- boxes and key points -------------------------------------------------------------------------------------------
 
 
-class ConvertBoundingBoxFormat(Transform):
+class ConvertBoundingBoxFormat(Transform, function=F.convert_bounding_box_format):
     """Convert boxes to another format.
 
     Args:
@@ -325,17 +295,15 @@ class ConvertBoundingBoxFormat(Transform):
         tensor([1.])
     """
 
+    format: Any
+
     kinds = frozenset({"boxes"})
 
-    def __init__(self, format: Any) -> None:
-        super().__init__()
-        self.format = format
-
-    def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
-        return F.convert_bounding_box_format(inpt, new_format=self.format)
+    def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
+        return {"new_format": self.format}
 
 
-class ClampBoundingBoxes(Transform):
+class ClampBoundingBoxes(Transform, function=F.clamp_bounding_boxes):
     """Cut boxes off at the borders of their canvas.
 
     Args:
@@ -348,17 +316,15 @@ class ClampBoundingBoxes(Transform):
         tensor([1.])
     """
 
+    clamping_mode: str | None = "auto"
+
     kinds = frozenset({"boxes"})
 
-    def __init__(self, clamping_mode: str | None = "auto") -> None:
-        super().__init__()
-        self.clamping_mode = clamping_mode
-
-    def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
-        return F.clamp_bounding_boxes(inpt, clamping_mode=self.clamping_mode)
+    def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
+        return {"clamping_mode": self.clamping_mode}
 
 
-class ClampKeyPoints(Transform):
+class ClampKeyPoints(Transform, function=F.clamp_keypoints):
     """Move key points to the nearest pixel of the canvas.
 
     Example:
@@ -369,9 +335,6 @@ class ClampKeyPoints(Transform):
     """
 
     kinds = frozenset({"points"})
-
-    def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
-        return F.clamp_keypoints(inpt)
 
 
 class SetClampingMode(Transform):
@@ -387,13 +350,10 @@ class SetClampingMode(Transform):
         tensor([1.])
     """
 
-    kinds = frozenset({"boxes"})
+    clamping_mode: str | None
 
-    def __init__(self, clamping_mode: str | None) -> None:
-        super().__init__()
-        if clamping_mode not in (None, "soft", "hard"):
-            raise ValueError(f"SetClampingMode: clamping_mode must be one of None, soft, hard; got {clamping_mode!r}")
-        self.clamping_mode = clamping_mode
+    kinds = frozenset({"boxes"})
+    checks = {"clamping_mode": argument.choice_of((None, "soft", "hard"))}
 
     def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
         return wrap(plain(inpt).clone(), inpt, clamping_mode=self.clamping_mode)
@@ -404,27 +364,21 @@ def labels_in(sample: Any) -> Any:
     sample = sample[1] if isinstance(sample, (tuple, list)) else sample
     if kind_of(sample) == "tensor":
         return sample
-    if not isinstance(sample, Mapping):
+    names = [n for n in sample if isinstance(n, str) and "label" in n.lower()] if isinstance(sample, Mapping) else []
+    if not names:
         raise ValueError(
-            f"labels_getter: expected a dict or a tuple with labels or a dict second, got {type(sample).__name__}"
+            "labels_getter: expected a dict with labels, or a tuple with labels or such a dict second, got "
+            f"{type(sample).__name__}; pass a function, or None for no labels"
         )
-    names = [name for name in sample if isinstance(name, str)]
-    matches = [name for name in names if name.lower() == "labels"] + [name for name in names if "label" in name.lower()]
-    if not matches:
-        raise ValueError(
-            f"labels_getter: expected an entry named labels among {names}; pass a function, or None for no labels"
-        )
-    return sample[matches[0]]
+    return sample[min(names, key=lambda name: name.lower() != "labels")]
 
 
 def labels_getter_of(labels_getter: Any) -> Callable[[Any], Any]:
-    if labels_getter == "default":
-        return labels_in
-    if labels_getter is None:
-        return lambda _: None
-    if callable(labels_getter):
-        return labels_getter
-    raise ValueError(f"labels_getter: expected 'default', a function or None, got {labels_getter!r}")
+    if labels_getter is None or callable(labels_getter):
+        return labels_getter or (lambda _: None)
+    if labels_getter != "default":
+        raise ValueError(f"labels_getter: expected 'default', a function or None, got {labels_getter!r}")
+    return labels_in
 
 
 class _Sanitize(Transform):
@@ -432,17 +386,12 @@ class _Sanitize(Transform):
 
     kind = ""
 
-    def __init__(self, labels_getter: Any) -> None:
-        super().__init__()
-        self.labels_getter = labels_getter
-        self._labels_getter = labels_getter_of(labels_getter)
-
     def _valid(self, x: Any) -> Tensor:
         raise NotImplementedError
 
     def forward(self, *inputs: Any) -> Any:
         sample, name = inputs if len(inputs) > 1 else inputs[0], type(self).__name__
-        labels = self._labels_getter(sample)
+        labels = labels_getter_of(self.labels_getter)(sample)
         labels = [] if labels is None else [labels] if isinstance(labels, Tensor) else labels
         if not isinstance(labels, (tuple, list)) or not all(isinstance(x, Tensor) for x in labels):
             raise ValueError(f"{name}: expected labels_getter to return a tensor, several or None, got {labels!r}")
@@ -478,15 +427,12 @@ class SanitizeBoundingBoxes(_Sanitize):
         SanitizeBoundingBoxes(labels_getter=default, min_size=2, min_area=1.0)
     """
 
-    kind = "boxes"
+    min_size: float = 1.0
+    min_area: float = 1.0
+    labels_getter: Any = "default"
 
-    def __init__(self, min_size: float = 1.0, min_area: float = 1.0, labels_getter: Any = "default") -> None:
-        super().__init__(labels_getter)
-        if min(min_size, min_area) < 1:
-            raise ValueError(
-                f"SanitizeBoundingBoxes: expected min_size and min_area of at least 1, got {min_size}, {min_area}"
-            )
-        self.min_size, self.min_area = min_size, min_area
+    kind = "boxes"
+    checks = dict.fromkeys(("min_size", "min_area"), lambda op, name, value: _check.number(op, name, value, 1))
 
     def _valid(self, x: Any) -> Tensor:
         return F.sanitize_bounding_boxes(x, min_size=self.min_size, min_area=self.min_area)[1]
@@ -505,10 +451,9 @@ class SanitizeKeyPoints(_Sanitize):
         SanitizeKeyPoints()
     """
 
-    kind = "points"
+    labels_getter: Any = None
 
-    def __init__(self, labels_getter: Any = None) -> None:
-        super().__init__(labels_getter)
+    kind = "points"
 
     def _valid(self, x: Any) -> Tensor:
         return F.sanitize_keypoints(x)[1]

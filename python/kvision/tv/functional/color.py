@@ -26,7 +26,7 @@ from kvision.enhance import solarize as solarized
 from kvision.enhance.batch import as_batch, shaped
 from kvision.enhance.normalize import standardize_rgb
 from kvision.filters import gaussian_blur2d
-from kvision.tv.functional.dispatch import functional
+from kvision.tv.functional.dispatch import functional, on_device
 from kvision.tv.functional.values import largest, of_all_types, tensors_only, to_dtype, truncated
 
 LUMA = (0.2989, 0.587, 0.114)  # torchvision's weights
@@ -44,7 +44,7 @@ def _each(kernel: Callable[..., Tensor], name: str, low: float = 0.0, high: floa
         factors = [float(row[name]) for row in rows]
         for factor in factors:
             _check_factor(name, factor, low, high)
-        return kernel(x, torch.tensor(factors, device=x.device)[:, None, None])
+        return kernel(x, on_device(factors, x.device)[:, None, None])
 
     return each
 
@@ -112,7 +112,7 @@ def _scaled(x: Tensor, factor: float) -> Tensor:
     return shaped(scale_shift(as_batch(x), factor, truncated(x), True), x)
 
 
-@functional(each=_each(_scaled, "brightness_factor"))
+@functional(each=_each(_scaled, "brightness_factor"), neutral={"brightness_factor": 1.0})
 def adjust_brightness(inpt: Tensor, brightness_factor: float) -> Tensor:
     """Multiply an image by a factor, clamped to black and white.
 
@@ -140,7 +140,7 @@ def _blended(x: Tensor, factor: Tensor) -> Tensor:
     return (x * factor + _gray(x) * (1 - factor)).clamp_(0, largest(x.dtype)).to(x.dtype)
 
 
-@functional(each=_each(_of_colors(_blended), "saturation_factor"))
+@functional(each=_each(_of_colors(_blended), "saturation_factor"), neutral={"saturation_factor": 1.0})
 def adjust_saturation(inpt: Tensor, saturation_factor: float) -> Tensor:
     """Interpolate between an image and its gray, or extrapolate.
 
@@ -160,7 +160,7 @@ def _around_mean(x: Tensor, factor: float) -> Tensor:
     return shaped(scale_shift(batch, factor, mean * ((1 - factor) / largest(x.dtype)) + truncated(x), True), x)
 
 
-@functional(each=_each(_around_mean, "contrast_factor"))
+@functional(each=_each(_around_mean, "contrast_factor"), neutral={"contrast_factor": 1.0})
 def adjust_contrast(inpt: Tensor, contrast_factor: float) -> Tensor:
     """Interpolate between an image and the mean of its gray, or extrapolate.
 
@@ -183,7 +183,7 @@ def _rotated_hue(x: Tensor, turns: float) -> Tensor:
     return _program(x, *steps, *([("scale_shift", _TO_LEVELS)] if x.dtype == torch.uint8 else []))
 
 
-@functional(each=_each(_of_colors(_rotated_hue), "hue_factor", -0.5, 0.5))
+@functional(each=_each(_of_colors(_rotated_hue), "hue_factor", -0.5, 0.5), neutral={"hue_factor": 0.0})
 def adjust_hue(inpt: Tensor, hue_factor: float) -> Tensor:
     """Rotate the hue of an RGB image; gray images stay.
 
@@ -216,7 +216,9 @@ def adjust_gamma(inpt: Tensor, gamma: float, gain: float = 1) -> Tensor:
 _sharpened = of_all_types(sharpness)
 
 
-@functional(each=_each(lambda x, factor: _sharpened(x, factor[:, 0, 0]), "sharpness_factor"))
+@functional(
+    each=_each(lambda x, factor: _sharpened(x, factor[:, 0, 0]), "sharpness_factor"), neutral={"sharpness_factor": 1.0}
+)
 def adjust_sharpness(inpt: Tensor, sharpness_factor: float) -> Tensor:
     """Interpolate between an image and its smoothed copy, or extrapolate; the border stays.
 
@@ -310,7 +312,7 @@ def invert(inpt: Tensor) -> Tensor:
 
 
 def _permute_each(x: Tensor, rows: list[dict[str, Any]]) -> Tensor:
-    channels = torch.tensor([list(row["permutation"]) for row in rows], device=x.device)
+    channels = on_device([list(row["permutation"]) for row in rows], x.device)
     return x[torch.arange(x.shape[0], device=x.device)[:, None], channels]
 
 
@@ -365,7 +367,7 @@ def _two_numbers(op: str, name: str, value: Any) -> tuple[Any, Any]:
 def _blur_each(x: Tensor, rows: list[dict[str, Any]]) -> Any:
     if len({tuple(row["kernel_size"]) for row in rows}) > 1 or not (x.is_floating_point() or x.dtype == torch.uint8):
         return NotImplemented
-    sigmas = torch.tensor([list(row["sigma"])[::-1] for row in rows], device=x.device)
+    sigmas = on_device([list(row["sigma"])[::-1] for row in rows], x.device)
     kx, ky = rows[0]["kernel_size"]
     return gaussian_blur2d(x, (ky, kx), sigmas)
 

@@ -23,12 +23,14 @@ def functional(
     pil: Callable[..., Any] | None = None,
     mask: Callable[..., Any] | str | None = None,
     each: Callable[[Any, list[dict[str, Any]]], Any] | None = None,
+    neutral: dict[str, float] | None = None,
 ) -> Callable[[Callable[..., Any]], Any]:
     """Make a public function of a kernel, which takes a tensor (*, C, H, W) and v2's arguments.
 
     `moves` says that masks, boxes and key points follow; `mask` is the kernel of masks where it is another, or "nearest" for that
     interpolation. `pil` is a function of PIL images with the same values; NotImplemented says that they differ for some arguments.
     `each` is the kernel of images (B, C, H, W) with arguments of each; NotImplemented says that it has none for some.
+    `neutral` are arguments by which nothing changes, so that the kernel of each serves batches of which some stay.
     Boxes and key points are torchvision's: their classes exist only where it is loaded, and its functions are public.
     """
 
@@ -61,6 +63,7 @@ def functional(
             raise TypeCheckError(f"{name}: expected an image, a video or a PIL image, got {type(inpt).__name__}")
 
         call.kinds = IMAGES | {"mask"} | LABELS if moves else IMAGES  # type: ignore[attr-defined]
+        call.neutral = neutral  # type: ignore[attr-defined]
         call.of_each = functools.partial(_of_each, call, each, mask, parameters)  # type: ignore[attr-defined]
         return call
 
@@ -76,7 +79,8 @@ def _of_each(call: Any, each: Any, mask: Any, parameters: Any, x: Any, arguments
     if all(_are_equal(args, a) and _are_equal(kwargs, k) for a, k in arguments):
         return call(x, *args, **kwargs)
     kind = kind_of(x)
-    if each is not None and (kind in ("tensor", "image") or (kind == "mask" and not callable(mask))):
+    is_image = kind in ("tensor", "image") and plain(x).dim() == 4
+    if each is not None and (is_image or (kind == "mask" and not callable(mask))):
         defaults = {p.name: p.default for p in parameters}
         rows = [{**defaults, **dict(zip(defaults, args)), **kwargs} for args, kwargs in arguments]
         if kind == "mask" and mask is not None:
@@ -93,6 +97,12 @@ def _are_equal(a: Any, b: Any) -> bool:
     """Whether arguments without tensors are equal."""
     values = (*a, *b) if isinstance(a, tuple) else (*a.values(), *b.values())
     return not any(isinstance(v, Tensor) for v in values) and a == b
+
+
+def on_device(values: Any, device: torch.device) -> Tensor:
+    """Numbers on a device, without waiting for it."""
+    numbers = torch.as_tensor(values, device="cpu")
+    return numbers.pin_memory().to(device, non_blocking=True) if device.type == "cuda" else numbers.to(device)
 
 
 def takes(function: Callable[..., Any], x: Any) -> bool:

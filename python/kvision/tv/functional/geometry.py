@@ -20,9 +20,10 @@ from kvision._modes import INTERPOLATION, PADDING
 from kvision.geometry import transform
 from kvision.geometry.transform import nearest, sampling
 from kvision.geometry.transform.resize_windows import resized_windows
-from kvision.tv.functional.dispatch import functional
+from kvision.tv.functional.dispatch import functional, on_device
 
 Fill = float | Sequence[float] | None
+Size = int | Sequence[int] | None
 
 
 class InterpolationMode(Enum):
@@ -43,6 +44,7 @@ class InterpolationMode(Enum):
     LANCZOS = "lanczos"
 
 
+Mode = InterpolationMode | str | int
 _OF_PIL = ("nearest", "lanczos", "bilinear", "bicubic", "box", "hamming")  # by the integers of PIL.Image.Resampling
 _NAMES = tuple(mode.value for mode in InterpolationMode)
 
@@ -82,7 +84,7 @@ def vertical_flip(inpt: Tensor) -> Tensor:
 def _crop_each(x: Tensor, rows: list[dict[str, Any]]) -> Any:
     if not _are_inside(x, rows) or len({(row["height"], row["width"]) for row in rows}) > 1:
         return NotImplemented
-    corners = torch.tensor([[row["top"], row["left"]] for row in rows], device=x.device)[..., None, None, None]
+    corners = on_device([[row["top"], row["left"]] for row in rows], x.device)[..., None, None, None]
     i = [torch.arange(n, device=x.device) for n in (*x.shape[:2], rows[0]["height"], rows[0]["width"])]
     return x[i[0][:, None, None, None], i[1][:, None, None], corners[:, 0] + i[2][:, None], corners[:, 1] + i[3]]
 
@@ -93,11 +95,11 @@ def _are_inside(x: Tensor, rows: list[dict[str, Any]]) -> bool:
     return all(0 <= row["top"] <= height - row["height"] and 0 <= row["left"] <= width - row["width"] for row in rows)
 
 
-@functional(
-    moves=True,
-    pil=lambda image, top, left, height, width: _crop_pil(image, top, left, height, width),
-    each=_crop_each,
-)
+def _crop_pil(image: Any, top: int, left: int, height: int, width: int) -> Any:
+    return image.crop((left, top, left + width, top + height))
+
+
+@functional(moves=True, pil=_crop_pil, each=_crop_each)
 def crop(inpt: Tensor, top: int, left: int, height: int, width: int) -> Tensor:
     """Cut a window out of an image, a view of a tensor where the window is inside; what is outside is 0.
 
@@ -118,10 +120,6 @@ def crop(inpt: Tensor, top: int, left: int, height: int, width: int) -> Tensor:
     return F.pad(inside, [before[0], after[0], before[1], after[1]])
 
 
-def _crop_pil(image: Any, top: int, left: int, height: int, width: int) -> Any:
-    return image.crop((left, top, left + width, top + height))
-
-
 def _two(op: str, name: str, size: Any) -> tuple[int, int]:
     """The height and width that an int, a sequence of one or of two say."""
     if isinstance(size, int):
@@ -140,12 +138,7 @@ def _before(image: int, crop: int) -> int:
     return -((crop - image) // 2) if crop > image else round((image - crop) / 2.0)
 
 
-def _center_crop_pil(image: Any, output_size: Any) -> Any:
-    size = _two("center_crop", "output_size", output_size)
-    return _crop_pil(image, *_center(image.height, image.width, size), *size)
-
-
-@functional(moves=True, pil=_center_crop_pil)
+@functional(moves=True)
 def center_crop(inpt: Tensor, output_size: int | Sequence[int]) -> Tensor:
     """Cut the center out of an image, with 0 around smaller ones.
 
@@ -157,15 +150,7 @@ def center_crop(inpt: Tensor, output_size: int | Sequence[int]) -> Tensor:
     return crop(inpt, *_center(inpt.shape[-2], inpt.shape[-1], size), *size)
 
 
-def _five(image: Any, height: int, width: int, size: Any) -> tuple[Any, ...]:
-    h, w = _two("five_crop", "size", size)
-    if h > height or w > width:
-        raise ValueError(f"five_crop: expected a size of at most {height} x {width}, got {h} x {w}")
-    corners = [(0, 0), (0, width - w), (height - h, 0), (height - h, width - w), _center(height, width, (h, w))]
-    return tuple(crop(image, *corner, h, w) for corner in corners)
-
-
-@functional(pil=lambda image, size: _five(image, image.height, image.width, size))
+@functional()
 def five_crop(inpt: Tensor, size: int | Sequence[int]) -> tuple[Tensor, ...]:
     """Cut out the corners and the center: upper left, upper right, lower left, lower right, center.
 
@@ -173,15 +158,14 @@ def five_crop(inpt: Tensor, size: int | Sequence[int]) -> tuple[Tensor, ...]:
         inpt: a tensor, tv_tensor or PIL image.
         size: height and width, an int for both.
     """
-    return _five(inpt, inpt.shape[-2], inpt.shape[-1], size)
+    (h, w), (height, width) = _two("five_crop", "size", size), inpt.shape[-2:]
+    if h > height or w > width:
+        raise ValueError(f"five_crop: expected a size of at most {height} x {width}, got {h} x {w}")
+    corners = [(0, 0), (0, width - w), (height - h, 0), (height - h, width - w), _center(height, width, (h, w))]
+    return tuple(crop(inpt, *corner, h, w) for corner in corners)
 
 
-def _ten(image: Any, size: Any, vertical_flip_: bool) -> tuple[Any, ...]:
-    mirrored = vertical_flip(image) if vertical_flip_ else horizontal_flip(image)
-    return five_crop(image, size) + five_crop(mirrored, size)
-
-
-@functional(pil=lambda image, size, vertical_flip=False: _ten(image, size, vertical_flip))
+@functional()
 def ten_crop(inpt: Tensor, size: int | Sequence[int], vertical_flip: bool = False) -> tuple[Tensor, ...]:
     """Cut out the corners and the center of an image and of its mirror image.
 
@@ -190,7 +174,7 @@ def ten_crop(inpt: Tensor, size: int | Sequence[int], vertical_flip: bool = Fals
         size: height and width, an int for both.
         vertical_flip: mirror the rows, not the columns.
     """
-    return _ten(inpt, size, vertical_flip)
+    return five_crop(inpt, size) + five_crop(inpt.flip(-2 if vertical_flip else -1), size)
 
 
 # --- sizes ----------------------------------------------------------------------------------------------------------
@@ -240,8 +224,8 @@ def _resize_mask(mask: Tensor, size: Any, interpolation: Any = "nearest", **opti
 @functional(moves=True, pil=_resize_pil, mask=_resize_mask)
 def resize(
     inpt: Tensor,
-    size: int | Sequence[int] | None,
-    interpolation: InterpolationMode | str | int = "bilinear",
+    size: Size,
+    interpolation: Mode = "bilinear",
     max_size: int | None = None,
     antialias: bool | None = True,
 ) -> Tensor:
@@ -277,10 +261,8 @@ def _resized_crop_mask(mask: Tensor, top: int, left: int, height: int, width: in
     return _resize_mask(crop(mask, top, left, height, width), size)
 
 
-def _resized_crop_pil(
-    image: Any, top: int, left: int, height: int, width: int, size: Any, *args: Any, **options: Any
-) -> Any:
-    return resize(_crop_pil(image, top, left, height, width), size, *args, **options)
+def _resized_crop_pil(image: Any, top: int, left: int, height: int, width: int, *args: Any, **options: Any) -> Any:
+    return resize(_crop_pil(image, top, left, height, width), *args, **options)
 
 
 def _resized_crop_each(x: Tensor, rows: list[dict[str, Any]]) -> Any:
@@ -294,7 +276,7 @@ def _resized_crop_each(x: Tensor, rows: list[dict[str, Any]]) -> Any:
         sx, sy = width / row["width"], height / row["height"]
         shifts = (0.5 - row["left"]) * sx - 0.5, (0.5 - row["top"]) * sy - 0.5
         matrices.append([[sx, 0.0, shifts[0]], [0.0, sy, shifts[1]], [0.0, 0.0, 1.0]])
-    matrix = torch.tensor(matrices, dtype=compute_dtype(x), device=x.device)
+    matrix = on_device(torch.tensor(matrices, dtype=compute_dtype(x), device="cpu"), x.device)
     return resized_windows(x, matrix, [height, width], INTERPOLATION[mode], False)
 
 
@@ -306,7 +288,7 @@ def resized_crop(
     height: int,
     width: int,
     size: int | Sequence[int],
-    interpolation: InterpolationMode | str | int = "bilinear",
+    interpolation: Mode = "bilinear",
     antialias: bool | None = True,
 ) -> Tensor:
     """Cut a window out of an image and resize it.
@@ -415,12 +397,18 @@ def _filled(op: str, sample: Any, inpt: Tensor, size: tuple[int, int], interpola
     return output.reshape(*leading, *size)
 
 
-def _warp(
-    op: str, inpt: Tensor, matrices: list[list[list[float]]], size: tuple[int, int], interpolation: Any, fill: Fill
-) -> Tensor:
+Matrix = list[list[Any]]  # of numbers, or of tensors (B,) with those of each image
+
+
+def _warp(op: str, inpt: Tensor, matrix: Matrix, size: tuple[int, int], interpolation: Any, fill: Fill) -> Tensor:
     """Sample at a matrix, of all or of each, times the pixels (x, y, 1) of the result; the center of the first is (0, 0)."""
     dtype = torch.float64 if inpt.dtype == torch.float64 else torch.float32
-    to_source = torch.tensor(matrices, dtype=dtype, device=inpt.device)
+    entries = [v for row in matrix for v in row]
+    if any(isinstance(v, Tensor) for v in entries):
+        each = [torch.as_tensor(v, dtype=torch.float64, device="cpu").expand(len(inpt)) for v in entries]
+        to_source = on_device(torch.stack(each, 1).reshape(len(inpt), -1, 3).to(dtype), inpt.device)
+    else:
+        to_source = torch.tensor([matrix], dtype=dtype, device=inpt.device)
 
     def sample(images: Tensor, color: Tensor | None, mode: str) -> Tensor:
         options = (INTERPOLATION[mode], PADDING["fill"], False, False, False)
@@ -429,24 +417,29 @@ def _warp(
     return _filled(op, sample, inpt, size, interpolation, fill)
 
 
-def _affine_matrix(
-    center: Sequence[float], angle: float, translate: Sequence[float], scale: float, shear: Sequence[float]
-) -> list[list[float]]:
+def _cos(x: Any) -> Any:
+    return x.cos() if isinstance(x, Tensor) else math.cos(x)
+
+
+def _sin(x: Any) -> Any:
+    return _cos(x - math.pi / 2) if isinstance(x, Tensor) else math.sin(x)
+
+
+def _affine_matrix(center: Sequence[float], angle: Any, translate: Any, scale: Any, shear: Any) -> Matrix:
     """From pixels of the result to those of the image: rotation R, shears and scale around a center, then a translation.
 
     T(center) (scale R(angle) Sy Sx)^-1 T(-center - translate), angles in degrees, clockwise in the image.
     """
-    rotation, x, y = (math.radians(a) for a in (angle, *shear))
-    a = math.cos(rotation - y) / math.cos(y)
-    b = -(a * math.tan(x) + math.sin(rotation))
-    c = math.sin(rotation - y) / math.cos(y)
-    d = math.cos(rotation) - c * math.tan(x)
+    rotation, x, y = (a * (math.pi / 180) for a in (angle, *shear))
+    tangent = _sin(x) / _cos(x)
+    a, c = _cos(rotation - y) / _cos(y), _sin(rotation - y) / _cos(y)
+    b, d = -(a * tangent + _sin(rotation)), _cos(rotation) - c * tangent
     rows = [[d / scale, -b / scale], [-c / scale, a / scale]]  # the determinant of [a b; c d] is 1
     shifted = [center[0] + translate[0], center[1] + translate[1]]
     return [[*row, center[i] - row[0] * shifted[0] - row[1] * shifted[1]] for i, row in enumerate(rows)]
 
 
-def _of_pixels(matrix: list[list[float]], image: Sequence[int], result: Sequence[int]) -> list[list[float]]:
+def _of_pixels(matrix: Matrix, image: Sequence[int], result: Sequence[int]) -> Matrix:
     """A matrix of coordinates from the image's center as one of pixels; sizes are (height, width)."""
     rows = []
     for row, size in zip(matrix, image[::-1]):
@@ -455,13 +448,21 @@ def _of_pixels(matrix: list[list[float]], image: Sequence[int], result: Sequence
     return rows
 
 
-def _warp_each(op: str, matrix_of: Callable[..., list[list[float]]]) -> Callable[..., Tensor]:
-    """The kernel of warps by a matrix of each image, which `matrix_of` the size and the arguments gives."""
+def _warp_each(op: str, matrix_of: Callable[..., Matrix], *names: str) -> Callable[..., Any]:
+    """The kernel of warps by a matrix of each image, which `matrix_of` the size and arguments gives; `names` and centers differ."""
 
-    def each(x: Tensor, rows: list[dict[str, Any]]) -> Tensor:
-        size = x.shape[-2], x.shape[-1]
-        matrices = [matrix_of(size, **row) for row in rows]
-        return _warp(op, x, matrices, size, rows[0]["interpolation"], rows[0]["fill"])
+    def each(x: Tensor, rows: list[dict[str, Any]]) -> Any:
+        if any(row[name] is None for row in rows for name in names):
+            return NotImplemented
+        columns: dict[str, Any] = {}
+        for name in names:
+            column = torch.tensor([row[name] for row in rows], dtype=torch.float64, device="cpu")
+            columns[name] = column.unbind(1) if column.dim() == 2 else column
+        height, width = size = x.shape[-2], x.shape[-1]
+        if any(row.get("center") is not None for row in rows):
+            centers = [row["center"] or (width * 0.5, height * 0.5) for row in rows]
+            columns["center"] = torch.tensor(centers, dtype=torch.float64, device="cpu").unbind(1)
+        return _warp(op, x, matrix_of(size, **{**rows[0], **columns}), size, rows[0]["interpolation"], rows[0]["fill"])
 
     return each
 
@@ -470,23 +471,23 @@ def _from_center(center: Any, height: int, width: int) -> list[float]:
     return [0.0, 0.0] if center is None else [center[0] - width * 0.5, center[1] - height * 0.5]
 
 
-def _matrix_of_affine(
-    size: tuple[int, int], angle: float, translate: Any, scale: float, shear: Any, center: Any, **_: Any
-) -> list[list[float]]:
-    if scale <= 0:
+def _matrix_of_affine(size: Any, angle: Any, translate: Any, scale: Any, shear: Any, center: Any, **_: Any) -> Matrix:
+    if (scale if isinstance(scale, (int, float)) else scale.amin()) <= 0:
         raise ValueError(f"affine: expected a scale above 0, got {scale}")
-    shear = [shear, 0.0] if isinstance(shear, (int, float)) else list(shear) * (2 // len(shear))
+    shear = [shear, 0.0] if isinstance(shear, (int, float, Tensor)) else list(shear) * (2 // len(shear))
     return _of_pixels(_affine_matrix(_from_center(center, *size), angle, translate, scale, shear), size, size)
 
 
-@functional(moves=True, mask="nearest", each=_warp_each("affine", _matrix_of_affine))
+@functional(
+    moves=True, mask="nearest", each=_warp_each("affine", _matrix_of_affine, "angle", "translate", "scale", "shear")
+)
 def affine(
     inpt: Tensor,
     angle: float,
     translate: Sequence[float],
     scale: float,
     shear: float | Sequence[float],
-    interpolation: InterpolationMode | str | int = "nearest",
+    interpolation: Mode = "nearest",
     fill: Fill = None,
     center: Sequence[float] | None = None,
 ) -> Tensor:
@@ -504,10 +505,10 @@ def affine(
     """
     size = inpt.shape[-2], inpt.shape[-1]
     matrix = _matrix_of_affine(size, angle, translate, scale, shear, center)
-    return _warp("affine", inpt, [matrix], size, interpolation, fill)
+    return _warp("affine", inpt, matrix, size, interpolation, fill)
 
 
-def _expanded_size(matrix: list[list[float]], height: int, width: int) -> tuple[int, int]:
+def _expanded_size(matrix: Matrix, height: int, width: int) -> tuple[int, int]:
     """The size that holds an image after a rotation, by its corners in float32 as v2 rounds them."""
     corners = torch.tensor(
         [[x * width / 2, y * height / 2, 1.0] for x, y in ((-1, -1), (-1, 1), (1, 1), (1, -1))], device="cpu"
@@ -519,21 +520,21 @@ def _expanded_size(matrix: list[list[float]], height: int, width: int) -> tuple[
     return int(h), int(w)
 
 
-def _rotation(size: tuple[int, int], angle: float, center: Any) -> list[list[float]]:
+def _rotation(size: tuple[int, int], angle: Any, center: Any) -> Matrix:
     return _affine_matrix(_from_center(center, *size), -angle, (0.0, 0.0), 1.0, (0.0, 0.0))
 
 
-def _matrix_of_rotation(size: tuple[int, int], angle: float, center: Any, **_: Any) -> list[list[float]]:
+def _matrix_of_rotation(size: tuple[int, int], angle: Any, center: Any, **_: Any) -> Matrix:
     return _of_pixels(_rotation(size, angle, center), size, size)
 
 
-@functional(moves=True, mask="nearest", each=_warp_each("rotate", _matrix_of_rotation))
+@functional(moves=True, mask="nearest", each=_warp_each("rotate", _matrix_of_rotation, "angle"))
 def rotate(
     inpt: Tensor,
     angle: float,
-    interpolation: InterpolationMode | str | int = "nearest",
+    interpolation: Mode = "nearest",
     expand: bool = False,
-    center: Sequence[float] | None = None,
+    center: Any = None,
     fill: Fill = None,
 ) -> Tensor:
     """Rotate counterclockwise.
@@ -555,36 +556,32 @@ def rotate(
             return inpt.rot90(int(angle) // 90, (-2, -1))
     matrix = _rotation((height, width), angle, center)
     size = _expanded_size(matrix, height, width) if expand else (height, width)
-    return _warp("rotate", inpt, [_of_pixels(matrix, (height, width), size)], size, interpolation, fill)
+    return _warp("rotate", inpt, _of_pixels(matrix, (height, width), size), size, interpolation, fill)
 
 
-def perspective_coefficients(
-    startpoints: Sequence[Sequence[float]], endpoints: Sequence[Sequence[float]]
-) -> list[float]:
+def _coefficients(startpoints: Any, endpoints: Any, coefficients: Any) -> Sequence[Any]:
     """The numbers a to h of x = (a u + b v + c) / (g u + h v + 1), y = (d u + e v + f) / (...) from end to start points."""
-    if len(startpoints) != 4 or len(endpoints) != 4:
-        raise ValueError(f"perspective: expected four points each, got {len(startpoints)} and {len(endpoints)}")
-    rows = []
-    for (u, v), (x, y) in zip(endpoints, startpoints):
-        rows += [[u, v, 1, 0, 0, 0, -x * u, -x * v], [0, 0, 0, u, v, 1, -y * u, -y * v]]
-    points = torch.tensor(startpoints, dtype=torch.float64, device="cpu").reshape(8)
-    solution = torch.linalg.lstsq(torch.tensor(rows, dtype=torch.float64, device="cpu"), points, driver="gels").solution
-    return solution.float().tolist()
-
-
-def _coefficients(startpoints: Any, endpoints: Any, coefficients: Any) -> Sequence[float]:
     if (coefficients is None) == (startpoints is None or endpoints is None):
         raise ValueError("perspective: expected either startpoints and endpoints or coefficients")
-    if coefficients is None:
-        return perspective_coefficients(startpoints, endpoints)
-    if len(coefficients) != 8:
-        raise ValueError(f"perspective: expected 8 coefficients, got {len(coefficients)}")
-    return list(coefficients)
+    if coefficients is not None:
+        if len(coefficients) != 8:
+            raise ValueError(f"perspective: expected 8 coefficients, got {len(coefficients)}")
+        return list(coefficients)
+    starts, ends = (torch.as_tensor(p, dtype=torch.float64, device="cpu") for p in (startpoints, endpoints))
+    if starts.shape[-2] != 4 or ends.shape[-2] != 4:
+        raise ValueError(f"perspective: expected four points each, got {starts.shape[-2]} and {ends.shape[-2]}")
+    (u, v), zero = ends.unbind(-1), torch.zeros_like(ends[..., 0])
+    rows = []
+    for i, p in enumerate(starts.unbind(-1)):
+        one = [u, v, zero + 1]
+        rows.append(torch.stack([*([zero] * 3 * i), *one, *([zero] * 3 * (1 - i)), -p * u, -p * v], -1))
+    matrix = torch.stack(rows, -2).flatten(-3, -2)
+    points = starts.flatten(-2)[..., None]
+    solution = torch.linalg.lstsq(matrix, points, driver="gels").solution[..., 0].float()
+    return solution.tolist() if solution.dim() == 1 else solution.double().unbind(-1)
 
 
-def _matrix_of_perspective(
-    size: tuple[int, int], startpoints: Any, endpoints: Any, coefficients: Any, **_: Any
-) -> list[list[float]]:
+def _matrix_of_perspective(size: Any, startpoints: Any, endpoints: Any, coefficients: Any, **_: Any) -> Matrix:
     a, b, c, d, e, f, g, h = _coefficients(startpoints, endpoints, coefficients)
     # The coefficients are of coordinates from the corner of the first pixel, half a pixel before its center.
     k = g / 2 + h / 2 + 1
@@ -592,12 +589,14 @@ def _matrix_of_perspective(
     return [*[[r - 0.5 * s for r, s in zip(row, (g, h, k))] for row in rows], [g, h, k]]
 
 
-@functional(moves=True, mask="nearest", each=_warp_each("perspective", _matrix_of_perspective))
+@functional(
+    moves=True, mask="nearest", each=_warp_each("perspective", _matrix_of_perspective, "startpoints", "endpoints")
+)
 def perspective(
     inpt: Tensor,
     startpoints: Sequence[Sequence[int]] | None,
     endpoints: Sequence[Sequence[int]] | None,
-    interpolation: InterpolationMode | str | int = "bilinear",
+    interpolation: Mode = "bilinear",
     fill: Fill = None,
     coefficients: Sequence[float] | None = None,
 ) -> Tensor:
@@ -613,7 +612,7 @@ def perspective(
     """
     size = inpt.shape[-2], inpt.shape[-1]
     matrix = _matrix_of_perspective(size, startpoints, endpoints, coefficients)
-    return _warp("perspective", inpt, [matrix], size, interpolation, fill)
+    return _warp("perspective", inpt, matrix, size, interpolation, fill)
 
 
 def _elastic_each(x: Tensor, rows: list[dict[str, Any]]) -> Tensor:
@@ -622,9 +621,7 @@ def _elastic_each(x: Tensor, rows: list[dict[str, Any]]) -> Tensor:
 
 
 @functional(moves=True, mask="nearest", each=_elastic_each)
-def elastic(
-    inpt: Tensor, displacement: Tensor, interpolation: InterpolationMode | str | int = "bilinear", fill: Fill = None
-) -> Tensor:
+def elastic(inpt: Tensor, displacement: Tensor, interpolation: Mode = "bilinear", fill: Fill = None) -> Tensor:
     """Sample at displaced pixels.
 
     Args:

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from kvision._tv_tensors import kind_of
 from kvision.core.exceptions import TypeCheckError
-from kvision.tv.functional.dispatch import functional
+from kvision.tv.functional.dispatch import functional, on_device
 from kvision.tv.inputs import channels_of, height_and_width, pil_to_tensor, to_pil_image, tv_tensor
 
 # A byte that is rounded after this shift is truncated: half a level below, but for rounding errors of integers.
@@ -115,10 +115,10 @@ def _erase_each(x: Tensor, rows: list[dict[str, Any]]) -> Any:
     colors = [row["v"].flatten() for row in rows]
     if rows[0]["inplace"] or any(len(c) not in (1, x.shape[1]) for c in colors):
         return NotImplemented
-    top, left, height, width = torch.tensor([[row[n] for n in "ijhw"] for row in rows], device=x.device).T[..., None]
+    top, left, height, width = on_device([[row[n] for n in "ijhw"] for row in rows], x.device).T[..., None]
     y, column = (torch.arange(n, device=x.device) for n in x.shape[-2:])
     is_row, is_column = (y >= top) & (y < top + height), (column >= left) & (column < left + width)
-    fill = torch.stack(colors).to(x.device, x.dtype)[..., None, None]
+    fill = on_device(torch.stack(colors).to(x.dtype), x.device)[..., None, None]
     return torch.where(is_row[:, None, :, None] & is_column[:, None, None], fill, x)
 
 

@@ -1,0 +1,70 @@
+"""Draws as v2's, in its order, so that a seed draws the same; those of the samples of a batch together."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import Any
+
+import torch
+
+# Where set, the source of numbers in [0, 1).
+_numbers: ContextVar[Iterator[float] | None] = ContextVar("kvision.tv numbers", default=None)
+
+
+@contextmanager
+def together() -> Iterator[None]:
+    """Take numbers from few draws of many."""
+    token = _numbers.set(_unit_numbers())
+    try:
+        yield
+    finally:
+        _numbers.reset(token)
+
+
+def _unit_numbers() -> Iterator[float]:
+    while True:
+        yield from torch.rand(256, dtype=torch.float64, device="cpu").tolist()
+
+
+def unit() -> float:
+    numbers = _numbers.get()
+    return torch.rand(1, device="cpu").item() if numbers is None else next(numbers)
+
+
+def uniform(interval: Any) -> float:
+    (low, high), numbers = interval, _numbers.get()
+    if numbers is None:
+        return torch.empty(1, device="cpu").uniform_(low, high).item()
+    return low + next(numbers) * (high - low)
+
+
+@functools.lru_cache(64)
+def _logarithms(*numbers: float) -> list[float]:
+    return torch.log(torch.tensor(numbers, device="cpu")).tolist()
+
+
+def log_uniform(interval: Any) -> float:
+    """Between two numbers, whose logarithms are as v2's in float32."""
+    low, high = _logarithms(*interval)
+    if _numbers.get() is None:
+        return torch.exp(torch.empty(1, device="cpu").uniform_(low, high)).item()
+    return math.exp(uniform((low, high)))
+
+
+def integer(low: int, high: int) -> int:
+    """Of [low, high)."""
+    numbers = _numbers.get()
+    if numbers is None:
+        return int(torch.randint(low, high, (1,), device="cpu").item())
+    return low + int(next(numbers) * (high - low))
+
+
+def permutation(n: int) -> list[int]:
+    numbers = _numbers.get()
+    return (
+        torch.randperm(n, device="cpu").tolist() if numbers is None else sorted(range(n), key=lambda _: next(numbers))
+    )

@@ -120,7 +120,7 @@ struct ByteColumns {
       auto const order = load_bytes<kBytes>(index.data + g * kBytes);
       Lanes<int32_t, N> sum_a = broadcast<N>(int32_t(1) << weights.bits >> 1), sum_b = sum_a;
       for (int j = 0; j < count; ++j, next += 2 * N) {
-        Words const weight = *reinterpret_cast<Words const*>(next);
+        Words const weight = read_lanes<2 * N>(next);
         auto const taps = [&](uint8_t const* row) {
           return __builtin_bit_cast(
               Words, permuted_bytes(load_parts<kParts>(row + first + 2 * j, row + second + 2 * j), order));
@@ -128,8 +128,7 @@ struct ByteColumns {
         sum_a += pair_products<N>(taps(a), weight);
         sum_b += pair_products<N>(taps(b), weight);
       }
-      *reinterpret_cast<Lanes<int32_t, N>*>(line + g * N) =
-          paired_levels<N>(sum_a >> weights.bits, sum_b >> weights.bits);
+      write_lanes<N>(line + g * N, paired_levels<N>(sum_a >> weights.bits, sum_b >> weights.bits));
     }
   }
   [[gnu::noinline]] void write_far(uint8_t const* a, uint8_t const* b, int32_t* line) const {
@@ -261,7 +260,7 @@ void write_bytes(VisionPatches<uint8_t> const& p, PatchImage const& image, int b
             auto const pixels = [&](int64_t x) {  // N of them
               Lanes<int32_t, N> sum = broadcast<N>(int32_t(1) << rows.bits >> 1);
               auto const add = [&](int32_t const* at, Lanes<int32_t, N> weight) {
-                auto const pair = *reinterpret_cast<Lanes<int32_t, N> const*>(at + x);
+                auto const pair = read_lanes<N>(at + x);
                 sum += pair_products<N>(__builtin_bit_cast(Words, pair), __builtin_bit_cast(Words, weight));
               };
               if constexpr (K > 0) {

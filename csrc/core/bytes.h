@@ -14,11 +14,11 @@ constexpr int kByteLanes = kVectorBytes;
 
 template <int N>
 KV_HD Lanes<uint8_t, N> load_bytes(uint8_t const* p) {
-  return *reinterpret_cast<Lanes<uint8_t, N> const*>(p);
+  return read_lanes<N>(p);
 }
 template <int N>
 KV_HD void store_bytes(uint8_t* p, Lanes<uint8_t, N> v) {
-  *reinterpret_cast<Lanes<uint8_t, N>*>(p) = v;
+  write_lanes<N>(p, v);
 }
 
 // The language's ?: on vectors of unsigned bytes takes GCC several instructions.
@@ -293,7 +293,7 @@ KV_HD Lanes<F, N> load_as(T const* p) {
   else if constexpr (N == 1)
     return F(*p);
   else if constexpr (__is_same(F, T))
-    return *reinterpret_cast<Lanes<F, N> const*>(p);
+    return read_lanes<N>(p);
   else
     return __builtin_bit_cast(Lanes<F, N>, load_words<N>(p));
 }
@@ -304,7 +304,7 @@ KV_HD void store_as(T* p, Lanes<F, N> v) {
   else if constexpr (N == 1)
     *p = T(v);
   else if constexpr (__is_same(F, T))
-    *reinterpret_cast<Lanes<F, N>*>(p) = v;
+    write_lanes<N>(p, v);
   else
     store_low_bytes<N>(p, v);
 }

@@ -3,8 +3,6 @@
 //   memory  r g b r g b ...      vectors  r r ... | g g ... | b b ...
 #pragma once
 
-#include <utility>
-
 #include "lanes.h"
 
 namespace kv {

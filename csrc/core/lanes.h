@@ -9,6 +9,8 @@
 #include <immintrin.h>
 #endif
 
+#include <utility>
+
 #include "half.h"
 
 namespace kv {
@@ -23,7 +25,7 @@ constexpr int kVectorBytes = 16;
 
 template <class F, int N>
 struct lanes_of {
-  typedef F type __attribute__((vector_size(N * sizeof(F)), aligned(alignof(F)), may_alias));
+  typedef F type __attribute__((vector_size(N * sizeof(F))));
 };
 template <class F>
 struct lanes_of<F, 1> {
@@ -44,15 +46,37 @@ KV_HD Lanes<F, N> broadcast(F x) {
     return x - Lanes<F, N>{};
 }
 
+// --- as they are in memory -------------------------------------------------------------------------------------------
+
+// Vectors are aligned to their size, numbers in memory to their own: all of memory is read and written through this.
+template <class V>
+struct [[gnu::packed, gnu::may_alias]] InMemory {
+  V lanes;
+};
+template <int N, class F>
+KV_HD Lanes<F, N> read_lanes(F const* p) {
+  if constexpr (N == 1)
+    return *p;
+  else
+    return reinterpret_cast<InMemory<Lanes<F, N>> const*>(p)->lanes;
+}
+template <int N, class F>
+KV_HD void write_lanes(F* p, Lanes<F, N> v) {
+  if constexpr (N == 1)
+    *p = v;
+  else
+    reinterpret_cast<InMemory<Lanes<F, N>>*>(p)->lanes = v;
+}
+
 // --- memory -> lanes -------------------------------------------------------------------------------------------------
 
 template <int N>
 KV_HD Lanes<float, N> load(float const* p) {
-  return *reinterpret_cast<Lanes<float, N> const*>(p);
+  return read_lanes<N>(p);
 }
 template <int N>
 KV_HD Lanes<double, N> load(double const* p) {
-  return *reinterpret_cast<Lanes<double, N> const*>(p);
+  return read_lanes<N>(p);
 }
 template <int N>
 KV_HD Lanes<float, N> load(uint8_t const* p) {
@@ -67,7 +91,7 @@ KV_HD Lanes<float, N> load(uint8_t const* p) {
       return (Lanes<float, N>)_mm256_cvtepi32_ps(_mm256_cvtepu8_epi32(_mm_loadl_epi64((__m128i const*)p)));
 #endif
     // Through 16 bits: GCC takes a wider step byte by byte.
-    auto const half = __builtin_convertvector(*reinterpret_cast<Lanes<uint8_t, N> const*>(p), Lanes<uint16_t, N>);
+    auto const half = __builtin_convertvector(read_lanes<N>(p), Lanes<uint16_t, N>);
     return __builtin_convertvector(__builtin_convertvector(half, Lanes<int32_t, N>), Lanes<float, N>);
   }
 }
@@ -76,8 +100,7 @@ KV_HD Lanes<float, N> load(BFloat16 const* p) {
   if constexpr (N == 1)
     return to_float(*p);
   else
-    return reinterpret_cast<Lanes<float, N>>(
-        __builtin_convertvector(*reinterpret_cast<Lanes<uint16_t, N> const*>(p), Lanes<uint32_t, N>) << 16);
+    return (Lanes<float, N>)(__builtin_convertvector(read_lanes<N>(&p->bits), Lanes<uint32_t, N>) << 16);
 }
 template <int N>
 KV_HD Lanes<float, N> load(Half const* p) {
@@ -105,11 +128,11 @@ KV_HD Lanes<float, N> load(Half const* p) {
 
 template <int N>
 KV_HD void store(float* p, Lanes<float, N> v) {
-  *reinterpret_cast<Lanes<float, N>*>(p) = v;
+  write_lanes<N>(p, v);
 }
 template <int N>
 KV_HD void store(double* p, Lanes<double, N> v) {
-  *reinterpret_cast<Lanes<double, N>*>(p) = v;
+  write_lanes<N>(p, v);
 }
 // Bytes saturate and round half to even, as OpenCV does; NaN becomes 0.
 template <int N>
@@ -121,18 +144,18 @@ KV_HD void store(uint8_t* p, Lanes<float, N> v) {
   if constexpr (N == 1)
     *p = uint8_t(float_to_bits(v));
   else
-    *reinterpret_cast<Lanes<uint8_t, N>*>(p) = __builtin_convertvector(
-        __builtin_convertvector(reinterpret_cast<Lanes<int32_t, N>>(v) & 0xff, Lanes<uint16_t, N>), Lanes<uint8_t, N>);
+    write_lanes<N>(p, __builtin_convertvector(__builtin_convertvector((Lanes<int32_t, N>)v & 0xff, Lanes<uint16_t, N>),
+                                              Lanes<uint8_t, N>));
 }
 template <int N>
 KV_HD void store(BFloat16* p, Lanes<float, N> v) {
   if constexpr (N == 1) {
     *p = to_bfloat16(v);
   } else {
-    auto const bits = reinterpret_cast<Lanes<uint32_t, N>>(v);
+    auto const bits = (Lanes<uint32_t, N>)v;
     auto const rounded = (bits + 0x7fff + ((bits >> 16) & 1)) >> 16;
     auto const kept = v == v ? rounded : Lanes<uint32_t, N>{} + 0x7fc0;
-    *reinterpret_cast<Lanes<uint16_t, N>*>(p) = __builtin_convertvector(kept, Lanes<uint16_t, N>);
+    write_lanes<N>(&p->bits, __builtin_convertvector(kept, Lanes<uint16_t, N>));
   }
 }
 template <int N>
@@ -155,6 +178,54 @@ KV_HD void store(Half* p, Lanes<float, N> v) {
     }
 #endif
     for (int i = 0; i < N; ++i) p[i] = to_half(v[i]);
+  }
+}
+
+// --- permutations ----------------------------------------------------------------------------------------------------
+
+// Lanes first, first + 2, ... of a and b, counted through both.
+template <int first, class V, int... i>
+KV_HD V every_second(V a, V b, std::integer_sequence<int, i...>) {
+  return __builtin_shufflevector(a, b, (first + 2 * i)...);
+}
+template <int first, class V>
+KV_HD V every_second(V a, V b) {
+  return every_second<first>(a, b, std::make_integer_sequence<int, sizeof(V) / sizeof(a[0])>());
+}
+
+// Lane i of the result is lane index[i] of a, or of a and b, counted through both. Clang has no __builtin_shuffle.
+template <int N, class V, class Index>
+KV_HD V permuted(V a, Index index) {
+  if constexpr (N == 1) {
+    return a;
+  } else {
+#if !defined(__clang__)
+    return __builtin_shuffle(a, index);
+#else
+#if defined(__AVX512F__)
+    if constexpr (sizeof(V) == 64 && N == 16) return (V)_mm512_permutexvar_ps((__m512i)index, (__m512)a);
+#elif defined(__AVX2__)
+    if constexpr (sizeof(V) == 32 && N == 8) return (V)_mm256_permutevar8x32_ps((__m256)a, (__m256i)index);
+#endif
+    V result;
+    for (int i = 0; i < N; ++i) result[i] = a[index[i]];
+    return result;
+#endif
+  }
+}
+template <int N, class V, class Index>
+KV_HD V permuted(V a, V b, Index index) {
+  if constexpr (N == 1) {
+    return a;
+  } else {
+#if !defined(__clang__)
+    return __builtin_shuffle(a, b, index);
+#else
+#if defined(__AVX512F__)
+    if constexpr (sizeof(V) == 64 && N == 16) return (V)_mm512_permutex2var_ps((__m512)a, (__m512i)index, (__m512)b);
+#endif
+    return index < N ? permuted<N>(a, index & (N - 1)) : permuted<N>(b, index & (N - 1));
+#endif
   }
 }
 

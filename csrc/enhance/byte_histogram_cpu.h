@@ -50,7 +50,7 @@ KV_HD void levels_of(T const* x, int64_t n, uint16_t* level) {
       if constexpr (N == 1)
         level[i] = x[i];
       else
-        *reinterpret_cast<Lanes<int16_t, N>*>(level + i) = load_words<N>(x + i);
+        write_lanes<N>(level + i, __builtin_bit_cast(Lanes<uint16_t, N>, load_words<N>(x + i)));
     });
   for_each_vector<T>(0, n, [&](auto width, int64_t i) {
     constexpr int N = decltype(width)::value;
@@ -58,7 +58,7 @@ KV_HD void levels_of(T const* x, int64_t n, uint16_t* level) {
     if constexpr (N == 1)
       level[i] = uint16_t(v);
     else
-      *reinterpret_cast<Lanes<uint16_t, N>*>(level + i) = __builtin_convertvector(v, Lanes<uint16_t, N>);
+      write_lanes<N>(level + i, __builtin_convertvector(v, Lanes<uint16_t, N>));
   });
 }
 
@@ -73,9 +73,8 @@ struct LevelCounts {
     for (; i < n; ++i) ++of[0][level[i]];
   }
   KV_HD void sum_up(int32_t (&count)[kLevels]) const {
-    auto const row = [&](int k, int i) { return *reinterpret_cast<Lanes<int32_t, 8> const*>(of[k] + i); };
-    for (int i = 0; i < kLevels; i += 8)
-      *reinterpret_cast<Lanes<int32_t, 8>*>(count + i) = row(0, i) + row(1, i) + row(2, i) + row(3, i);
+    auto const row = [&](int k, int i) { return read_lanes<8>(of[k] + i); };
+    for (int i = 0; i < kLevels; i += 8) write_lanes<8>(count + i, row(0, i) + row(1, i) + row(2, i) + row(3, i));
   }
 };
 

@@ -22,12 +22,11 @@ KV_HD void make_table(LevelCounts const& counts, int32_t limit, F scale, uint8_t
   using V = Lanes<F, N>;
   int32_t count[kLevels];
   counts.sum_up(count);
-  auto const at = [&](int i) -> I& { return *reinterpret_cast<I*>(count + i); };
   I above{};
   for (int i = 0; i < kLevels; i += N) {
-    I const all = at(i);
-    at(i) = all < limit ? all : I{} + limit;
-    above += all - at(i);
+    I const all = read_lanes<N>(count + i), kept = all < limit ? all : I{} + limit;
+    write_lanes<N>(count + i, kept);
+    above += all - kept;
   }
   int32_t excess = 0, sum = 0;
   for (int i = 0; i < N; ++i) excess += above[i];
@@ -35,7 +34,7 @@ KV_HD void make_table(LevelCounts const& counts, int32_t limit, F scale, uint8_t
   for (int i = 0; i < spread.rest; ++i) ++count[i * spread.distance];
   for (int32_t& n : count) n = sum += n + spread.each;
   for (int i = 0; i < kLevels; i += N) {
-    V const level = round_even(product(__builtin_convertvector(at(i), V), scale), F());
+    V const level = round_even(product(__builtin_convertvector(read_lanes<N>(count + i), V), scale), F());
     store<N>(table + i, __builtin_convertvector(level, Lanes<float, N>));  // at most 255
   }
 }
@@ -79,9 +78,7 @@ KV_HD Lanes<F, N> byte_of(uint32_t const* four, int position) {
     return F(*four >> (8 * position) & 255);
   else
     return __builtin_convertvector(
-        __builtin_convertvector(*reinterpret_cast<Lanes<uint32_t, N> const*>(four) >> (8 * position) & 255,
-                                Lanes<int32_t, N>),
-        Lanes<F, N>);
+        __builtin_convertvector(read_lanes<N>(four) >> (8 * position) & 255, Lanes<int32_t, N>), Lanes<F, N>);
 }
 
 // The four tables of a cell, interleaved.
@@ -94,11 +91,11 @@ KV_HD void make_cell(Clahe<T> const& p, int cy, int cx, uint8_t const* tables, u
                        *const d = table(p.down.after(cy), p.across.after(cx));
   using Double4 = Lanes<uint32_t, 8>;
   auto const bytes = [](uint8_t const* p) {  // through 16 bits: GCC does a wider conversion byte by byte
-    auto const half = __builtin_convertvector(*reinterpret_cast<Lanes<uint8_t, 8> const*>(p), Lanes<uint16_t, 8>);
+    auto const half = __builtin_convertvector(read_lanes<8>(p), Lanes<uint16_t, 8>);
     return __builtin_convertvector(half, Double4);
   };
   for (int i = 0; i < kLevels; i += 8)
-    *reinterpret_cast<Double4*>(cell + i) = bytes(a + i) | bytes(b + i) << 8 | bytes(c + i) << 16 | bytes(d + i) << 24;
+    write_lanes<8>(cell + i, bytes(a + i) | bytes(b + i) << 8 | bytes(c + i) << 16 | bytes(d + i) << 24);
   cell[kNanLevel] = 0;
 }
 

@@ -45,7 +45,7 @@ KV_HD void cells_of(MomentGrid const& grid, float const* x, int64_t n, int32_t* 
     if constexpr (N == 1)
       cell[i] = int32_t(cell_or_end);
     else
-      *reinterpret_cast<Lanes<int32_t, N>*>(cell + i) = __builtin_convertvector(cell_or_end, Lanes<int32_t, N>);
+      write_lanes<N>(cell + i, __builtin_convertvector(cell_or_end, Lanes<int32_t, N>));
   });
 }
 

@@ -25,7 +25,7 @@ KV_HD void for_each_sample(ImageHistogram2d<T> const& p, T const* x, F f) {
       if constexpr (N == 1)
         bin[i] = int32_t(inside);
       else
-        *reinterpret_cast<Lanes<int32_t, N>*>(bin + i) = __builtin_convertvector(inside, Lanes<int32_t, N>);
+        write_lanes<N>(bin + i, __builtin_convertvector(inside, Lanes<int32_t, N>));
     });
     for (int64_t i = 0; i < n; ++i) f(begin + i, bin[i], t[i]);
   }

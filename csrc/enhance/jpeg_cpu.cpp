@@ -81,13 +81,6 @@ KV_HD void load_levels(Images<T const> const& x, JpegTilePosition const& at, Jpe
   }
 }
 
-// Every second lane of a and b, from `first` on.
-template <int first, class V>
-KV_HD V every_second(V const& a, V const& b) {
-  return __builtin_shufflevector(a, b, first, first + 2, first + 4, first + 6, first + 8, first + 10, first + 12,
-                                 first + 14);
-}
-
 // Downsampling: reads four pixels along both axes for every second pixel of a tile's chroma and its halo.
 template <class F, class Combine>
 KV_HD void halve(JpegTile<F>& tile, int columns, Combine const& combine) {

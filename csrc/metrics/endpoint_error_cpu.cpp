@@ -1,6 +1,4 @@
 // Endpoint errors on the CPU: chunks [begin, end) of all rows. Compiled once per instruction set.
-#include <utility>
-
 #include "core/lanes.h"
 #include "endpoint_error.h"
 
@@ -22,7 +20,10 @@ struct Components {
   template <class T>
   KV_HD static Components of(T const* from, bool planar, int64_t adjacent) {
     if constexpr (M > 1)
-      if (!planar) return split(load<M>(from), load<M>(from + M), std::make_integer_sequence<int, M>());
+      if (!planar) {
+        V const a = load<M>(from), b = load<M>(from + M);
+        return {every_second<0>(a, b), every_second<1>(a, b)};
+      }
     return {V(load<M>(from)), V(load<M>(from + adjacent))};
   }
   template <class T>
@@ -39,10 +40,6 @@ struct Components {
  private:
   template <int First>
   struct From {};
-  template <int... I>
-  KV_HD static Components split(V a, V b, std::integer_sequence<int, I...>) {
-    return {chosen<2 * I...>(a, b), chosen<2 * I + 1 ...>(a, b)};
-  }
   template <int... I, int First>
   KV_HD V joined(std::integer_sequence<int, I...>, From<First>) const {
     return chosen<First + I / 2 + I % 2 * M...>(first, second);

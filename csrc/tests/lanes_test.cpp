@@ -122,7 +122,7 @@ void words() {
   using Words = kv::Lanes<int16_t, N>;
   auto const a = patterns<int16_t>(N * 64), b = patterns<int16_t>(N * 64 + 7);
   for (int k = 0; k < 64; ++k) {
-    Words const x = *reinterpret_cast<Words const*>(&a[k * N]), y = *reinterpret_cast<Words const*>(&b[k * N + 7]);
+    Words const x = kv::read_lanes<N>(&a[k * N]), y = kv::read_lanes<N>(&b[k * N + 7]);
     Words const product = kv::rounded_product<N>(x, y);
     auto const sums = kv::pair_products<N / 2>(x, y);
     for (int i = 0; i < N; ++i) {

@@ -57,6 +57,12 @@ def test_cpp_modules_include_what_they_may() -> None:
         assert used <= allowed, f"{path} includes {used - allowed}"
 
 
+def test_vectors_in_memory_are_read_by_lanes_h() -> None:
+    """A pointer to a vector promises its alignment, which numbers in memory do not have: `read_lanes` and `write_lanes` do not."""
+    for path in sorted((ROOT / "csrc").rglob("*_cpu.*")):
+        assert not re.search(r"_cast<\s*Lanes<[^;()]*\*>", path.read_text()), path
+
+
 def test_the_engine_of_augmentations_is_known_by_its_public_face_alone() -> None:
     engine, package = "kvision.augmentation.engine", modules()
     files = {name: path for name, path in package.items() if name.startswith(f"{engine}.")}

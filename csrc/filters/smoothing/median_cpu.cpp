@@ -25,12 +25,12 @@ template <class F>
 using Vector = Lanes<F, kWidth<F>>;
 
 template <class F>
-KV_HD Vector<F>& at(F* p) {
-  return *reinterpret_cast<Vector<F>*>(p);
+KV_HD Vector<F> read(F const* p) {
+  return read_lanes<kWidth<F>>(p);
 }
 template <class F>
-KV_HD Vector<F> const& at(F const* p) {
-  return *reinterpret_cast<Vector<F> const*>(p);
+KV_HD void write(F* p, Vector<F> v) {
+  write_lanes<kWidth<F>>(p, v);
 }
 
 template <class F>
@@ -81,7 +81,7 @@ KV_HD bool has_nan(F const* values, int64_t size) {
       if constexpr (decltype(vector)::value == 1)
         any |= is_nan<T>(values[e]);
       else
-        nans |= is_nan<T>(at(values + e));
+        nans |= is_nan<T>(read(values + e));
     });
     for (int i = 0; i < kWidth<F>; ++i) any |= nans[i] != 0;
   }
@@ -200,11 +200,11 @@ void median_by_network(MedianBlur<T> const& p, int64_t begin, int64_t end) {
     for (int64_t e = 0; e < size; e += kWidth<F>) {
       V v[K];
       KV_UNROLL
-      for (int i = 0; i < K; ++i) v[i] = at(from + e + i * from_step);
+      for (int i = 0; i < K; ++i) v[i] = read(from + e + i * from_step);
       sort_common<K>(v);
       insert_first<K>(v);
       KV_UNROLL
-      for (int i = 0; i < K; ++i) at(to + e + i * to_step) = v[i];
+      for (int i = 0; i < K; ++i) write(to + e + i * to_step, v[i]);
     }
   };
 
@@ -232,7 +232,7 @@ void median_by_network(MedianBlur<T> const& p, int64_t begin, int64_t end) {
         for (int64_t e = 0; e < size; e += kWidth<F>) {
           auto const load_run = [&](int i, V(&v)[K]) {
             KV_UNROLL
-            for (int k = 0; k < K; ++k) v[k] = at(run[i] + e + k * stride);
+            for (int k = 0; k < K; ++k) v[k] = read(run[i] + e + k * stride);
           };
           V middle[K + 1], a[K], b[K];
           load_run(1, a);
@@ -249,8 +249,8 @@ void median_by_network(MedianBlur<T> const& p, int64_t begin, int64_t end) {
           }
           load_run(0, a);
           load_run(K, b);
-          at(medians0 + e) = median_of<K>(middle, a);
-          at(medians1 + e) = median_of<K>(middle, b);
+          write<F>(medians0 + e, median_of<K>(middle, a));
+          write<F>(medians1 + e, median_of<K>(middle, b));
         }
         rows.write(medians0, y, out0);
         if (second) rows.write(medians1, y + 1, out1);
@@ -278,13 +278,14 @@ void median_by_search(MedianBlur<T> const& p, int64_t begin, int64_t end) {
         rows.fill(y + after);
         F* const top = rows.rows.row(y - before);
         for (int64_t e = 0; e < rows.size; e += kWidth<F>)
-          at(medians.data + e) = select_key<T>(V{} + kLowestMedianKey<T>, rank, [&](V candidate) {
-            V below{};
-            F* row = top;
-            for (int64_t dy = 0; dy < p.ky; ++dy, row = rows.rows.below(row))
-              for (int64_t dx = 0; dx < p.kx; ++dx) below -= at(row + e + dx * p.x.step) < candidate;  // true is -1
-            return below;
-          });
+          write<F>(medians.data + e, select_key<T>(V{} + kLowestMedianKey<T>, rank, [&](V candidate) {
+                     V below{};
+                     F* row = top;
+                     for (int64_t dy = 0; dy < p.ky; ++dy, row = rows.rows.below(row))
+                       for (int64_t dx = 0; dx < p.kx; ++dx)
+                         below -= read(row + e + dx * p.x.step) < candidate;  // true is -1
+                     return below;
+                   }));
         rows.write(medians.data, y, p.y.row(plane, y) + rows.first);
       }
     }
@@ -317,7 +318,7 @@ void median_3x3_direct(MedianBlur<T> const& p, int64_t begin, int64_t end) {
     constexpr int N = decltype(lanes)::value;
     if constexpr (N == 1)
       if (at < 0) return T{};
-    return *reinterpret_cast<Lanes<T, N> const*>(row + at);
+    return read_lanes<N>(row + at);
   };
 
   for_each_plane(p.x.height, begin, end, [&](int64_t plane, int64_t y_begin, int64_t y_end) {
@@ -355,8 +356,9 @@ void median_3x3_direct(MedianBlur<T> const& p, int64_t begin, int64_t end) {
         }
         KV_UNROLL
         for (int k = 0; k < 2; ++k)
-          *reinterpret_cast<V*>(out[k] + e) = median_of_three(
-              largest_low[k], median_of_three(middle[k][0], middle[k][1], middle[k][2]), smallest_high[k]);
+          write_lanes<decltype(lanes)::value>(
+              out[k] + e, median_of_three(largest_low[k], median_of_three(middle[k][0], middle[k][1], middle[k][2]),
+                                          smallest_high[k]));
       });
       for (int k = 0; k < 2; ++k)
         for (int i = k; i < k + 3; ++i)

@@ -1,6 +1,4 @@
 // Lens distortion on the CPU: points [begin, end) of all samples, by vectors. Compiled once per instruction set.
-#include <utility>
-
 #include "core/lanes.h"
 // After it, for vectors.
 #include "geometry/calibration/distortion.h"
@@ -33,14 +31,14 @@ KV_HD void pixels_at(LensPoints<T> const& p, int64_t i, Lanes<T, N>& x, Lanes<T,
 }
 
 // N points (x, y) that are adjacent in memory.
-template <int N, class T, int... i>
-KV_HD void load_points(T const* from, Lanes<T, N>& x, Lanes<T, N>& y, std::integer_sequence<int, i...>) {
+template <int N, class T>
+KV_HD void load_points(T const* from, Lanes<T, N>& x, Lanes<T, N>& y) {
   if constexpr (N == 1) {
     x = from[0], y = from[1];
   } else {
     Lanes<T, N> const first = load<N>(from), second = load<N>(from + N);
-    x = __builtin_shufflevector(first, second, (2 * i)...);
-    y = __builtin_shufflevector(first, second, (2 * i + 1)...);
+    x = every_second<0>(first, second);
+    y = every_second<1>(first, second);
   }
 }
 template <int N, class T, int... i>
@@ -61,7 +59,7 @@ KV_HD void through(Lens<T> const& lens, LensDomain<T> const& domain, int64_t b, 
   if (!p.points)
     pixels_at<N>(p, i - b * p.count, x, y);
   else
-    load_points<N>(p.points + 2 * i, x, y, lanes);
+    load_points<N>(p.points + 2 * i, x, y);
   if constexpr (!Distorts)
     lens.undistort(x, y, domain);
   else

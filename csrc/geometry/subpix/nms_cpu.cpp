@@ -13,8 +13,8 @@ KV_HD void store_flags(uint8_t* to, M mask) {
   if constexpr (N == 1)
     *to = mask ? 1 : 0;
   else
-    *reinterpret_cast<Lanes<uint8_t, N>*>(to) =
-        __builtin_convertvector(__builtin_convertvector(mask & 1, Lanes<uint16_t, N>), Lanes<uint8_t, N>);
+    write_lanes<N>(to,
+                   __builtin_convertvector(__builtin_convertvector(mask & 1, Lanes<uint16_t, N>), Lanes<uint8_t, N>));
 }
 
 template <int N, class F>
@@ -22,7 +22,7 @@ KV_HD Lanes<F, N> load_flags(uint8_t const* from) {
   if constexpr (N == 1)
     return F(*from);
   else
-    return __builtin_convertvector(*reinterpret_cast<Lanes<uint8_t, N> const*>(from), Lanes<F, N>);
+    return __builtin_convertvector(read_lanes<N>(from), Lanes<F, N>);
 }
 
 // A row of an output, or null if the output is not requested.

@@ -12,23 +12,18 @@ namespace {
 constexpr int64_t kCacheBytes = 4 << 20;
 
 // Stores a vector to an aligned address, bypassing the caches.
-#if defined(__x86_64__)
-typedef long long Words2 __attribute__((vector_size(16)));
-typedef long long Words4 __attribute__((vector_size(32)));
-typedef long long Words8 __attribute__((vector_size(64)));
-#endif
 template <class V>
 KV_HD void store_past_caches(void* to, V v) {
 #if defined(__AVX512F__)
-  if constexpr (sizeof(V) == 64) __builtin_ia32_movntdq512(static_cast<Words8*>(to), Words8(v));
+  if constexpr (sizeof(V) == 64) _mm512_stream_si512(static_cast<__m512i*>(to), (__m512i)v);
 #endif
 #if defined(__AVX2__)
-  if constexpr (sizeof(V) == 32) __builtin_ia32_movntdq256(static_cast<Words4*>(to), Words4(v));
+  if constexpr (sizeof(V) == 32) _mm256_stream_si256(static_cast<__m256i*>(to), (__m256i)v);
 #endif
 #if defined(__x86_64__)
-  if constexpr (sizeof(V) == 16) __builtin_ia32_movntdq(static_cast<Words2*>(to), Words2(v));
+  if constexpr (sizeof(V) == 16) _mm_stream_si128(static_cast<__m128i*>(to), (__m128i)v);
 #else
-  *static_cast<V*>(to) = v;
+  static_cast<InMemory<V>*>(to)->lanes = v;
 #endif
 }
 
@@ -137,7 +132,7 @@ void flip(Flip<T> const& p, int64_t begin, int64_t end) {
       reverse_pixels<3>(from, to, size, step, line.data);
   }
 #if defined(__x86_64__)
-  if (large) __builtin_ia32_sfence();  // before another thread reads the result
+  if (large) _mm_sfence();  // before another thread reads the result
 #endif
 }
 

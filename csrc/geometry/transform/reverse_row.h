@@ -32,13 +32,15 @@ constexpr int kRowBytes = sizeof(T) < 4 || kVectorBytes < 32 ? 16 : 32;
 template <class T, int bytes = kRowBytes<T>>
 using RowVector = Lanes<typename bits_of<sizeof(T)>::type, bytes / int(sizeof(T))>;
 
+template <class V, int... i>
+KV_HD V reversed(V v, std::integer_sequence<int, i...>) {
+  return __builtin_shufflevector(v, v, (int(sizeof...(i)) - 1 - i)...);
+}
 template <int bytes, class T>
 KV_HD RowVector<T, bytes> reversed(T const* from) {
   using V = RowVector<T, bytes>;
-  constexpr int N = bytes / int(sizeof(T));
-  V last_first;
-  for (int i = 0; i < N; ++i) last_first[i] = typename bits_of<sizeof(T)>::type(N - 1 - i);
-  return __builtin_shuffle(*reinterpret_cast<V const*>(from), last_first);
+  return reversed(reinterpret_cast<InMemory<V> const*>(from)->lanes,
+                  std::make_integer_sequence<int, bytes / int(sizeof(T))>());
 }
 
 // Calls f(e) for vectors of a row, aligned in memory but for the first and the last one, which overlap their neighbors.
@@ -64,7 +66,7 @@ void reverse_row(T const* from, T* to, int64_t size) {
   }
   for_each_row_vector<kRowBytes<T>>(to, size, [&](int64_t e) KV_INLINE {
     if constexpr (to_below) __builtin_prefetch(from + size + e);
-    *reinterpret_cast<V*>(to + e) = reversed<kRowBytes<T>>(from + size - N - e);
+    reinterpret_cast<InMemory<V>*>(to + e)->lanes = reversed<kRowBytes<T>>(from + size - N - e);
   });
 }
 

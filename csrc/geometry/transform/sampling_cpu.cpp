@@ -132,11 +132,17 @@ KV_HD Lanes<int16_t, 8 * Parts> read_pixels(uint8_t const* p, Offsets<4 * Parts>
   if constexpr (Parts == 1) {
     return load_words<8>(p + at[i]);
   } else {
-    Lanes<int64_t, 2> bits;
-    __builtin_memcpy(&bits[0], p + at[i], 8);
-    __builtin_memcpy(&bits[1], p + at[i + 4], 8);
-    return to_words<16>(__builtin_bit_cast(Lanes<uint8_t, 16>, bits));
+    int64_t left, right;
+    __builtin_memcpy(&left, p + at[i], 8);
+    __builtin_memcpy(&right, p + at[i + 4], 8);
+    return to_words<16>(__builtin_bit_cast(Lanes<uint8_t, 16>, Lanes<int64_t, 2>{left, right}));
   }
+}
+
+// Numbers i and i + 4, four times each.
+template <int i, class V, int... k>
+KV_HD V repeated(V v, std::integer_sequence<int, k...>) {
+  return __builtin_shufflevector(v, v, (k / 4 * 4 + i)...);
 }
 
 // Three interleaved channels, samples i and i + 4 in a vector.
@@ -145,20 +151,16 @@ KV_HD void sample_interleaved(uint8_t const* image, int64_t row_stride, Offsets<
   using Bytes = Lanes<uint8_t, 4 * kSamples>;
   using Int = ByteWeights::Int;
   Bytes const pairs = load_bytes<4 * kSamples>(kOrders.pairs), dense = load_bytes<4 * kSamples>(kOrders.dense);
-  Int sums[4];
-#pragma GCC unroll 4
-  for (int i = 0; i < 4; ++i) {
-    auto const repeat = [i](Int v) {  // numbers i and i + 4, four times each
-      Int from;
-      for (int k = 0; k < kSamples; ++k) from[k] = k / 4 * 4 + i;
-      return Int(__builtin_shuffle(v, from));
-    };
+  auto const sum = [&](auto lane) KV_INLINE {
+    constexpr int i = decltype(lane)::value;
+    constexpr std::make_integer_sequence<int, kSamples> lanes;
     auto const v = ByteWeights::along_y(read_pixels<kParts>(image, at, i),
-                                        read_pixels<kParts>(image + row_stride, at, i), repeat(w.y));
+                                        read_pixels<kParts>(image + row_stride, at, i), repeated<i>(w.y, lanes));
     Bytes const taps = permuted_bytes(__builtin_bit_cast(Bytes, v), pairs);
-    sums[i] = ByteWeights::along_x(__builtin_bit_cast(ByteWeights::Words, taps), repeat(w.x));
-  }
-  Bytes const pixels = permuted_bytes(clamped_bytes<kSamples>(sums[0], sums[1], sums[2], sums[3]), dense);
+    return ByteWeights::along_x(__builtin_bit_cast(ByteWeights::Words, taps), repeated<i>(w.x, lanes));
+  };
+  Int const first = sum(Width<0>{}), second = sum(Width<1>{}), third = sum(Width<2>{}), fourth = sum(Width<3>{});
+  Bytes const pixels = permuted_bytes(clamped_bytes<kSamples>(first, second, third, fourth), dense);
   for (int k = 0; k < kParts; ++k) __builtin_memcpy(out + 12 * k, reinterpret_cast<char const*>(&pixels) + 16 * k, 12);
 }
 
@@ -290,13 +292,13 @@ KV_HD void resample_line(ColumnTaps<T> const& columns, float const* line, int64_
         a[i] = pair[0], b[i] = pair[1];
       }
     } else {
-      auto const offset = *reinterpret_cast<Lanes<int, N> const*>(columns.offset.data + g * N);
+      auto const offset = read_lanes<N>(columns.offset.data + g * N);
       if constexpr (Vectors == 1) {
-        a = __builtin_shuffle(load<N>(from), offset);
-        b = __builtin_shuffle(load<N>(from + 1), offset);
+        a = permuted<N>(load<N>(from), offset);
+        b = permuted<N>(load<N>(from + 1), offset);
       } else {
-        a = __builtin_shuffle(load<N>(from), load<N>(from + N), offset);
-        b = __builtin_shuffle(load<N>(from + 1), load<N>(from + N + 1), offset);
+        a = permuted<N>(load<N>(from), load<N>(from + N), offset);
+        b = permuted<N>(load<N>(from + 1), load<N>(from + N + 1), offset);
       }
     }
     store<N>(to + ColumnTaps<T>::start(g, width), V(a * (1 - t) + b * t));

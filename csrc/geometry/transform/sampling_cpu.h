@@ -158,14 +158,12 @@ KV_HD void gather_two(T const* p, At const& at, int64_t step, V& a, V& b) {
   if constexpr (__is_same(T, float) && N > 1)
     if (step == 1) {
       Lanes<double, N / 2> low, high;
-      typename lanes_of<int, N>::type even;
       for (int i = 0; i < N / 2; ++i) {
         low[i] = load_bits<double>(p + at[i]);
         high[i] = load_bits<double>(p + at[N / 2 + i]);
       }
-      for (int i = 0; i < N; ++i) even[i] = 2 * i;
-      a = __builtin_shuffle(__builtin_bit_cast(V, low), __builtin_bit_cast(V, high), even);
-      b = __builtin_shuffle(__builtin_bit_cast(V, low), __builtin_bit_cast(V, high), even + 1);
+      a = every_second<0>(__builtin_bit_cast(V, low), __builtin_bit_cast(V, high));
+      b = every_second<1>(__builtin_bit_cast(V, low), __builtin_bit_cast(V, high));
       return;
     }
   if constexpr (sizeof(T) == 2 && N > 1)
@@ -173,8 +171,8 @@ KV_HD void gather_two(T const* p, At const& at, int64_t step, V& a, V& b) {
       Lanes<uint32_t, N> both;
       for (int i = 0; i < N; ++i) both[i] = load_bits<uint32_t>(p + at[i]);
       T low[N], high[N];
-      *reinterpret_cast<Lanes<uint16_t, N>*>(low) = __builtin_convertvector(both, Lanes<uint16_t, N>);
-      *reinterpret_cast<Lanes<uint16_t, N>*>(high) = __builtin_convertvector(both >> 16, Lanes<uint16_t, N>);
+      write_lanes<N>(&low->bits, __builtin_convertvector(both, Lanes<uint16_t, N>));
+      write_lanes<N>(&high->bits, __builtin_convertvector(both >> 16, Lanes<uint16_t, N>));
       a = load<N>(low);
       b = load<N>(high);
       return;

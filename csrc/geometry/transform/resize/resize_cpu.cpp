@@ -10,21 +10,6 @@
 namespace kv::geometry::KV_ISA {
 namespace {
 
-template <int N, class V, class Index>
-KV_HD V permuted(V a, V b, Index index) {
-  if constexpr (N == 1)
-    return a;
-  else
-    return __builtin_shuffle(a, b, index);
-}
-template <int N, class V, class Index>
-KV_HD V permuted(V a, Index index) {
-  if constexpr (N == 1)
-    return a;
-  else
-    return __builtin_shuffle(a, index);
-}
-
 // The weights of a pixel, `stride` apart. Not inline: they take most of the time to compile.
 template <class F>
 [[gnu::noinline]] Contributors<F> write_weights(F* to, int64_t stride, ResizeAxis const& axis, int64_t index) {
@@ -95,8 +80,7 @@ KV_HD bool write_row(T* out, T const* minuend, F const* line, ColumnBands<F, N> 
   for (int64_t g = 0; g < columns.groups; ++g) {
     F const* from = line + columns.from.data[g];
     F const* weights = columns.weights.data + g * taps * N;
-    auto const distance =
-        *reinterpret_cast<Lanes<typename ColumnBands<F, N>::Int, N> const*>(columns.distances.data + g * N);
+    auto const distance = read_lanes<N>(columns.distances.data + g * N);
     V sum{};
     for (int k = 0; k < taps; ++k, from += step, weights += N) {
       V value;
@@ -300,7 +284,7 @@ void write_byte_row(uint8_t* out, int16_t const* line, ByteColumns const& column
             permuted_bytes(load_parts<kParts>(bytes_at(from[0] + at + 8 * c), bytes_at(from[kParts - 1] + at + 8 * c)),
                            load_bytes<kBytes>(columns.index.data + (g * Chunks + c) * kBytes));
       using Words = Lanes<int16_t, 2 * N>;
-      sum += pair_products<N>(__builtin_bit_cast(Words, taps), *reinterpret_cast<Words const*>(weights));
+      sum += pair_products<N>(__builtin_bit_cast(Words, taps), read_lanes<2 * N>(weights));
     }
     store_clamped<N>(out + columns.start(g), Lanes<int32_t, N>(sum >> (kFraction + kWeightBits)));
   }
@@ -319,7 +303,7 @@ KV_HD void add_up_bytes(uint8_t const* first, int64_t row_stride, int16_t const*
       for (int i = 0; i < U; ++i)
         sums[i] += rounded_product<M>(load_words<M>(row + i * M) << (kFraction + 15 - kWeightBits), weight);
     }
-    for (int i = 0; i < U; ++i) *reinterpret_cast<Lanes<int16_t, M>*>(line + e + i * M) = sums[i];
+    for (int i = 0; i < U; ++i) write_lanes<M>(line + e + i * M, sums[i]);
   };
   int64_t e = 0;
   for (; e + kBlock * kWords <= size; e += kBlock * kWords) add_up(Width<kWords>{}, Width<kBlock>{}, e);

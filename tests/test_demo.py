@@ -18,7 +18,7 @@ pytest.importorskip("PIL")
 pytest.importorskip("tqdm")
 
 from kvision.demo import __main__ as demo
-from kvision.demo import attack, augmentation, contact_sheet, sheet
+from kvision.demo import attack, augmentation, contact_sheet, gallery, sheet
 from kvision.demo.restore import restore
 from kvision.io import load_image, write_image
 
@@ -174,8 +174,21 @@ def test_draws_of_augmentations_have_their_labels(name: str) -> None:
     assert len(rows) == 12
     drawn = [(row, augmentation.cells(row, photo, name)) for row in rows[-2:]]
     section = augmentation.section(drawn, name)
-    assert len(section.columns) == 9 and all(len(cells) == 9 for _, cells in section.rows)
-    assert {cell.size for _, cells in section.rows for cell in cells} == {(48, 48)}
+    columns = augmentation.DRAWS + 1
+    assert len(section.columns) == columns and all(len(cells) == columns for _, cells in section.rows)
+    assert {cell.size for _, cells in section.rows for cell in cells} == {(augmentation.CELL, augmentation.CELL)}
+    assert section.notes == [row.call for row in rows[-2:]] and "RandomCrop((42, 42))" in section.notes[-1]
+
+
+@pytest.mark.slow
+def test_the_largest_page_has_less_than_a_megabyte(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """At the size of its pictures, which the other tests of this file reduce, and legible."""
+    pytest.importorskip("skimage")
+    monkeypatch.undo()
+    (name, *_), (photo, *_) = demo.load([])
+    drawn = [(row, augmentation.cells(row, photo, name)) for row in augmentation.rows(demo.SIDE)]
+    quality = gallery.save(gallery.page("", "", [augmentation.section(drawn, name)]), tmp_path / "page.jpg")
+    assert (tmp_path / "page.jpg").stat().st_size < 1_000_000 and quality >= 64
 
 
 def test_makes_the_contact_sheet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,6 +13,7 @@ namespace {
 // A binary PPM as a (1, 3, H, W) tensor in [0, 1].
 torch::Tensor read_ppm(std::string const& path) {
   std::ifstream file(path, std::ios::binary);
+  if (!file) throw std::runtime_error(path + ": cannot be read");
   std::string magic;
   int64_t width = 0, height = 0, largest = 0;
   file >> magic >> width >> height >> largest;

@@ -14,8 +14,8 @@ import kvision.augmentation as A
 from kvision.augmentation.container.sheet import draw_samples
 from kvision.demo import gallery
 
-DRAWS = 8
-TITLE = "Augmentation: eight draws of each, with masks, boxes and key points"
+DRAWS, CELL = 6, 208  # draws of a row, and the side of their pictures
+TITLE = "Augmentation: six draws of each, with the masks, boxes and key points that follow"
 KEYS = ("image", "mask", "bbox_xyxy", "keypoints")
 MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 
@@ -37,52 +37,48 @@ AXES = ((0.5, 0.5), (0.2, 0.5), (0.8, 0.5), (0.5, 0.2), (0.5, 0.8))
 
 
 class Row(NamedTuple):
-    """A label and a pipeline that makes the draws of a row."""
+    """A label, and the call of a class of kvision.augmentation whose module makes the draws of a row."""
 
     title: str
-    augment: nn.Module
+    call: str
+
+    @property
+    def augment(self) -> nn.Module:
+        module: nn.Module = eval(self.call, {**vars(A)})
+        return module
 
 
 def rows(side: int) -> list[Row]:
     """The pipelines of the sheet for images of a side."""
-    crop = side * 7 // 8
+    crop = (side * 7 // 8,) * 2
     return [
-        Row("affine", A.RandomAffine(30.0, (0.1, 0.1), (0.7, 1.1), 10.0, p=1.0)),
-        Row("perspective", A.RandomPerspective(0.6, p=1.0)),
+        Row("affine", "RandomAffine(30.0, (0.1, 0.1), (0.7, 1.1), 10.0, p=1.0)"),
+        Row("perspective", "RandomPerspective(0.6, p=1.0)"),
         Row("elastic", elastic(side, 1.5)),
-        Row("thin-plate spline", A.RandomThinPlateSpline(0.15, p=1.0)),
-        Row("resized crop", A.RandomResizedCrop((crop, crop), scale=(0.2, 0.9))),
-        Row("color jitter", A.ColorJitter(0.4, 0.4, 0.6, 0.3, p=1.0)),
-        Row("erasing", A.RandomErasing((0.05, 0.2), value=0.5, p=1.0)),
-        Row("plasma shadow", A.RandomPlasmaShadow((0.5, 0.8), (-0.6, -0.3), (0.4, 0.6), p=1.0)),
-        Row("rain", A.RandomRain((300, 500), (side // 8, side // 4), (-side // 16, side // 16), p=1.0)),
-        Row("RandAugment", A.auto.RandAugment(2, 15)),
+        Row("thin-plate spline", "RandomThinPlateSpline(0.15, p=1.0)"),
+        Row("resized crop", f"RandomResizedCrop({crop}, scale=(0.2, 0.9))"),
+        Row("color jitter", "ColorJitter(0.4, 0.4, 0.6, 0.3, p=1.0)"),
+        Row("erasing", "RandomErasing((0.05, 0.2), value=0.5, p=1.0)"),
+        Row("plasma shadow", "RandomPlasmaShadow((0.5, 0.8), (-0.6, -0.3), (0.4, 0.6), p=1.0)"),
+        Row("rain", f"RandomRain((300, 500), {(side // 8, side // 4)}, {(-side // 16, side // 16)}, p=1.0)"),
+        Row("RandAugment", "auto.RandAugment(2, 15)"),
         Row(
-            "A: crop, flip, jitter, normalize",
-            A.ImageSequential(
-                A.RandomResizedCrop((crop, crop)),
-                A.RandomHorizontalFlip(),
-                A.ColorJitter(0.2, 0.2, 0.2, 0.1),
-                A.Normalize(MEAN, STD),
-            ),
+            "A: in a training loop",
+            f"ImageSequential(RandomResizedCrop({crop}), RandomHorizontalFlip(), ColorJitter(0.2, 0.2, 0.2, 0.1), "
+            f"Normalize({MEAN}, {STD}))",
         ),
         Row(
-            "B: affine, perspective, elastic, crop",
-            A.ImageSequential(
-                A.RandomAffine(20.0, (0.05, 0.05), (0.9, 1.1), p=1.0),
-                A.RandomPerspective(0.3, p=1.0),
-                elastic(side, 0.8),
-                A.RandomCrop((crop, crop)),
-                resample="once",
-            ),
+            "B: resampled once",
+            "ImageSequential(RandomAffine(20.0, (0.05, 0.05), (0.9, 1.1), p=1.0), RandomPerspective(0.3, p=1.0), "
+            f'{elastic(side, 0.8)}, RandomCrop({crop}), resample="once")',
         ),
     ]
 
 
-def elastic(side: int, strength: float) -> A.RandomElasticTransform:
+def elastic(side: int, strength: float) -> str:
     """Waves of about a fifth of the image."""
-    sigma = side / 16
-    return A.RandomElasticTransform((2 * round(2.5 * sigma) + 1,) * 2, (sigma,) * 2, (strength * sigma / 6,) * 2, p=1.0)
+    kernel, sigma, alpha = 2 * round(side * 5 / 32) + 1, side / 16, round(strength * side / 96, 2)
+    return f"RandomElasticTransform({(kernel,) * 2}, {(sigma,) * 2}, {(alpha,) * 2}, p=1.0)"
 
 
 def cells(row: Row, photo: Tensor, name: str) -> list[Image.Image]:
@@ -90,12 +86,13 @@ def cells(row: Row, photo: Tensor, name: str) -> list[Image.Image]:
     side = photo.shape[-1]
     inputs = (photo, *(label.to(photo.device) for label in labels(name, side)))
     drawn = draw_samples(row.augment, inputs, KEYS, DRAWS, side, seed=0)
-    return [_middle(gallery.picture(cell), side) for cell in drawn]
+    return [_middle(gallery.picture(cell), side).resize((CELL, CELL), Image.Resampling.LANCZOS) for cell in drawn]
 
 
 def section(drawn: Sequence[tuple[Row, list[Image.Image]]], name: str) -> gallery.Section:
     columns = [name, *(f"draw {i + 1}" for i in range(DRAWS))]
-    return gallery.Section(TITLE, [(title, "") for title in columns], [(row.title, cells) for row, cells in drawn])
+    rows = [(row.title, cells) for row, cells in drawn]
+    return gallery.Section(TITLE, [(title, "") for title in columns], rows, notes=[row.call for row, _ in drawn])
 
 
 def labels(name: str, side: int) -> tuple[Tensor, Tensor, Tensor]:

@@ -14,19 +14,20 @@ from torch import Tensor
 from kvision.core.pixels import to_uint8
 from kvision.image import tensor_to_image
 
-MARGIN, GAP = 48, 10
+MARGIN, GAP, LINE = 48, 10, 24
 LARGEST = 1_000_000  # bytes of a file
 PAPER, INK, FAINT, ACCENT = "white", "#1a1a1a", "#8a8a8a", "#c2410c"
 
 
 @dataclass(frozen=True)
 class Section:
-    """A titled grid. `columns` are (title, note), `rows` are (label, cells); `captions` stand below the columns."""
+    """A titled grid: `columns` (title, note), `rows` (label, cells), `captions` below the columns, `notes` below the rows."""
 
     title: str
     columns: Sequence[tuple[str, str]]
     rows: Sequence[tuple[str, Sequence[Image.Image]]]
     captions: Sequence[str] = ()
+    notes: Sequence[str] = ()
 
 
 def picture(tensor: Tensor) -> Image.Image:
@@ -71,14 +72,15 @@ def page(title: str, note: str, sections: Sequence[Section]) -> Image.Image:
     return sheet
 
 
-def save(sheet: Image.Image, path: Path) -> None:
-    """Write a JPEG of less than LARGEST bytes, as well as that allows."""
-    for quality in range(88, 20, -8):
+def save(sheet: Image.Image, path: Path) -> int:
+    """Write a JPEG of less than LARGEST bytes, as well as that allows. Returns its quality."""
+    for quality in range(88, 0, -8):
         written = BytesIO()
-        sheet.save(written, "JPEG", quality=quality)
+        sheet.save(written, "JPEG", quality=quality, optimize=True)
         if written.tell() < LARGEST:
             break
     path.write_bytes(written.getvalue())
+    return quality
 
 
 def _heading(title: str, note: str) -> Image.Image:
@@ -96,10 +98,13 @@ def _section(section: Section) -> Image.Image:
     heights = [max(cell.height for cell in cells) for _, cells in section.rows]
     first_x, first_y = 34, 92  # room for the row labels and for the titles
     captions = [_wrapped(text, width, note_font) for text, width in zip(section.captions, widths)]
-    below = 8 + 24 * max((text.count("\n") + 1 for text in captions), default=0)
+    row_width = sum(widths) + GAP * (len(widths) - 1)
+    notes = [_wrapped(text, row_width, note_font) for text in section.notes] or [""] * len(heights)
+    below_rows = [8 + LINE * (text.count("\n") + 1) if text else 0 for text in notes]
+    below = 8 + LINE * max((text.count("\n") + 1 for text in captions), default=0)
     size = (
-        first_x + sum(widths) + GAP * (len(widths) - 1),
-        first_y + sum(heights) + GAP * (len(heights) - 1) + below,
+        first_x + row_width,
+        first_y + sum(heights) + sum(below_rows) + GAP * (len(heights) - 1) + below,
     )
     image = Image.new("RGB", size, PAPER)
     draw = ImageDraw.Draw(image)
@@ -111,13 +116,14 @@ def _section(section: Section) -> Image.Image:
         draw.text((x + width, first_y - 12), note, fill=FAINT, font=note_font, anchor="rs")
         x += width + GAP
     y = first_y
-    for (label, cells), height in zip(section.rows, heights):
+    for (label, cells), height, note, note_height in zip(section.rows, heights, notes, below_rows):
         _upward(image, label, note_font, y, height)
         x = first_x
         for cell, width in zip(cells, widths):
             image.paste(cell, (x, y))
             x += width + GAP
-        y += height + GAP
+        draw.multiline_text((first_x, y + height + 2), note, fill=INK, font=note_font)
+        y += height + note_height + GAP
     x = first_x
     for text, width in zip(captions, widths):
         draw.multiline_text((x, y - 2), text, fill=INK, font=note_font)

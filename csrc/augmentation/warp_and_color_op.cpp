@@ -120,18 +120,19 @@ struct WarpAndColorArguments {
   }
   // What the warp samples.
   Tensor sampled(PassImages const& images) const {
-    geometry::Size const output = matrix->use.output;
-    if (images.list) return sampled_list(*images.list);
-    Tensor const& image = images.like;
-    if (!plan.antialias) return geometry::warped(image, *sampling, *matrix);
-    return geometry::windows_resized(op, image, *matrix_tensor, {output.height, output.width}, plan.interpolation,
-                                     plan.align_corners, false);
+    if (plan.antialias) return windows(images);
+    if (!images.list) return geometry::warped(images.like, *sampling, *matrix);
+    geometry::Size const size = matrix->use.output;
+    return geometry::warped_list(*images.list, *sampling, *matrix, {size.height, size.width})[0];
   }
-  Tensor sampled_list(Tensors const& images) const {
+  // The antialiased windows, which may be written to `memory`.
+  Tensor windows(PassImages const& images, OptionalTensor const& memory = {}) const {
     std::vector<int64_t> const size{matrix->use.output.height, matrix->use.output.width};
-    if (!plan.antialias) return geometry::warped_list(images, *sampling, *matrix, size)[0];
-    return geometry::windows_resized(op, images, *matrix_tensor, size, plan.interpolation, plan.align_corners,
-                                     false)[0];
+    auto const resized = [&](auto const& x) {
+      return geometry::windows_resized(op, x, *matrix_tensor, size, plan.interpolation, plan.align_corners, false,
+                                       memory);
+    };
+    return images.list ? resized(*images.list)[0] : resized(images.like);
   }
   // The gradient of the image from that of what is sampled.
   Tensor image_gradient(Tensor const& grad, Tensor const& image) const {
@@ -246,6 +247,14 @@ PassResults run_pass(PassImages const& images, OptionalTensor const& columns, Op
     auto const [y, means] = run_joined(a, images, arguments);
     return {y, a.matrix_tensor, around_mean ? OptionalTensor(means) : OptionalTensor()};
   }
+#if defined(KV_CUDA)
+  if (a.matrix && a.plan.antialias && around_mean) {
+    geometry::Size const output = a.matrix->use.output;
+    auto const results = color::run_program_in_result(a.op, image, {output.height, output.width}, arguments, program,
+                                                      a.plan.numbers, [&](Tensor const& x) { a.windows(images, x); });
+    if (results) return {std::get<0>(*results), a.matrix_tensor, std::get<1>(*results)};
+  }
+#endif
   bool const samples = a.matrix.has_value();
   Tensor const x = samples ? a.sampled(images) : image;
   auto const [y, means] = color::run_program(a.op, x, arguments, program, a.plan.numbers, samples);

@@ -184,6 +184,7 @@ struct Program {
   // and stores `means`, which the backward pass reads.
   int contrast;  // index of the first such step, or -1; if there are several, a sample's order has one at most
   bool measures_mean;
+  bool overwrites;      // the pixels of a sample are in the memory of its result; only clusters do that
   int64_t mean_pixels;  // that the mean is taken of: all of a sample
   F gray_weights[3];    // of the channels in the mean
   int64_t parts_count;

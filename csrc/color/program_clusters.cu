@@ -30,6 +30,22 @@ __device__ __forceinline__ void store(float* at, int64_t plane, Values const& c)
   for (int k = 0; k < 3; ++k) store_vector(at + k * plane, c[k]);
 }
 
+// Pixels i, ... of sample b: planes of floats, or whatever is stored, by vectors in both cases.
+template <bool Plain>
+__device__ __forceinline__ void load(Pixels const& x, int64_t offset, int i, int64_t pixels, Values& c) {
+  if constexpr (Plain)
+    load(static_cast<float const*>(x.data) + offset + i, x.channel_stride, c);
+  else
+    load_pixels<false>(x, offset, i, pixels, 0.f, c);
+}
+template <bool Plain>
+__device__ __forceinline__ void store(Pixels const& y, int64_t offset, int i, int64_t pixels, Values const& c) {
+  if constexpr (Plain)
+    store(static_cast<float*>(y.data) + offset + i, y.channel_stride, c);
+  else
+    store_pixels<false>(y, offset, i, pixels, c);
+}
+
 // The part of a sample that a block of a cluster has.
 struct ClusterPart {
   int64_t b;
@@ -76,19 +92,20 @@ __device__ __forceinline__ void run_steps(Sample<float> const& sample, int begin
   }
 }
 
+template <bool Plain>
 __global__ void __launch_bounds__(kClusterThreads, 2)
     run_clusters(__grid_constant__ Program<float> const p, int part_pixels) {
   __shared__ Sample<float> sample;
   extern __shared__ __align__(16) float kept[];
   ClusterPart const part(int(p.pixels), part_pixels);
-  int64_t const b = part.b, plane_x = p.x.channel_stride, plane_y = p.y.channel_stride;
-  float const* const x = static_cast<float const*>(p.x.data) + p.x.offset(b) + part.begin;
-  float* const y = static_cast<float*>(p.y.data) + p.y.offset(b) + part.begin;
+  int64_t const b = part.b, from = p.x.offset(b), to = p.y.offset(b);
   Values ahead;
   int const first = P * int(threadIdx.x);
-  if (first < part.pixels) load(x + first, plane_x, ahead);
+  if (first < part.pixels) load<Plain>(p.x, from, part.begin + first, p.pixels, ahead);
   sample.prepare(p, b, false);
-  bool const waits = sample.steps_before_mean < sample.length;
+  bool const around_mean = sample.steps_before_mean < sample.length;
+  // Where the result overwrites the input, all of a sample is read before any of it is written.
+  bool const waits = around_mean || p.overwrites;
   float sum = 0;
 #pragma unroll 1
   for (int i = first; i < part.pixels; i += P * kClusterThreads) {
@@ -97,10 +114,11 @@ __global__ void __launch_bounds__(kClusterThreads, 2)
     for (int k = 0; k < 3; ++k)
 #pragma unroll
       for (int j = 0; j < P; ++j) c[k][j] = ahead[k][j];
-    if (i + P * kClusterThreads < part.pixels) load(x + i + P * kClusterThreads, plane_x, ahead);
+    int const next = i + P * kClusterThreads;
+    if (next < part.pixels) load<Plain>(p.x, from, part.begin + next, p.pixels, ahead);
     run_steps(sample, 0, sample.steps_before_mean, c);
     if (!waits) {
-      store(y + i, plane_y, c);
+      store<Plain>(p.y, to, part.begin + i, p.pixels, c);
       continue;
     }
     keep(kept + i, part_pixels, c);
@@ -111,8 +129,8 @@ __global__ void __launch_bounds__(kClusterThreads, 2)
   }
   float const total = cluster_sum(sum);
   if (threadIdx.x == 0) {
-    float const mean = waits ? total / float(p.mean_pixels) : 0;
-    if (waits) sample.p[sample.mean_parameter] = mean;
+    float const mean = around_mean ? total / float(p.mean_pixels) : 0;
+    if (around_mean) sample.p[sample.mean_parameter] = mean;
     if (part.begin == 0) p.means[b] = mean;
   }
   __syncthreads();
@@ -122,7 +140,7 @@ __global__ void __launch_bounds__(kClusterThreads, 2)
       Values c;
       load(kept + i, part_pixels, c);
       run_steps(sample, sample.steps_before_mean, sample.length, c);
-      store(y + i, plane_y, c);
+      store<Plain>(p.y, to, part.begin + i, p.pixels, c);
     }
   cluster_wait();  // shared memory exists until all blocks have read it
 }
@@ -243,9 +261,8 @@ bool takes_clusters(Kernel* kernel, Program<float> const& p) {
   constexpr int64_t kStaticShared = 2 << 10;
   // This does not depend on the number of samples. Two runs are faster for few samples, but they sum in another order,
   // and the result of a sample must not depend on the size of the batch.
-  return p.contrast >= 0 && p.x.channels == 3 && p.pixels % P == 0 && p.x.access == Access::plain_vectors &&
-         has_frequent_steps_only(p) && int64_t(bytes_of(p.pixels)) + kStaticShared <= max_shared_bytes(kMaxShared) &&
-         supports_clusters(kernel);
+  return p.contrast >= 0 && p.x.channels == 3 && p.pixels % P == 0 && has_frequent_steps_only(p) &&
+         int64_t(bytes_of(p.pixels)) + kStaticShared <= max_shared_bytes(kMaxShared) && supports_clusters(kernel);
 }
 
 template <class Params>
@@ -272,18 +289,21 @@ ProgramBackward<float> with_access(ProgramBackward<float> p) {
 
 bool takes_clusters(Program<float> const& params) {
   Program<float> const p = with_access(params);
-  return p.y.channels == 3 && p.y.access == Access::plain_vectors && takes_clusters(run_clusters, p);
+  // Results begin at vectors, and so do images that are accessed by vectors with them.
+  return p.y.channels == 3 && p.y.access != Access::elements && takes_clusters(run_clusters<false>, p);
 }
 bool takes_clusters(ProgramBackward<float> const& params) {
   ProgramBackward<float> const p = with_access(params);
   bool const plain = p.grad.step == 0 || p.grad.access == Access::plain_vectors;
   return p.needs_grad_x && !p.partial_grads && p.grad.type == DType::float32 && plain &&
-         p.grad_x.access == Access::plain_vectors && takes_clusters(run_backward_clusters, p.forward);
+         p.grad_x.access == Access::plain_vectors && p.forward.x.access == Access::plain_vectors &&
+         takes_clusters(run_backward_clusters, p.forward);
 }
 
 int program_by_clusters(Program<float> const& params, CUstream_st* stream) {
   Program<float> const p = with_access(params);
-  return launch(run_clusters, p, p, stream);
+  bool const plain = p.x.access == Access::plain_vectors && p.y.access == Access::plain_vectors;
+  return launch(plain ? run_clusters<true> : run_clusters<false>, p, p, stream);
 }
 int program_backward_by_clusters(ProgramBackward<float> const& params, CUstream_st* stream) {
   ProgramBackward<float> const p = with_access(params);

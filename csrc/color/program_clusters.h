@@ -7,7 +7,7 @@
 namespace kv::color::cuda {
 
 // Whether one launch serves a program around a mean, or the gradient of its image without those of parameters. It
-// serves planes of floats and frequent steps, if a sample fits the shared memory of a cluster.
+// serves frequent steps, if a sample fits the shared memory of a cluster; of gradients, planes of floats.
 bool takes_clusters(Program<float> const& p);
 bool takes_clusters(ProgramBackward<float> const& p);
 

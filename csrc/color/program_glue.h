@@ -3,9 +3,10 @@
 #pragma once
 
 #include <algorithm>
+#include <array>
 #include <span>
 
-#include "glue/glue.h"
+#include "glue/views.h"
 #include "program.h"
 #include "program_clusters.h"
 
@@ -291,6 +292,39 @@ inline std::tuple<Tensor, Tensor> run_program(char const* op, Tensor const& inpu
   });
   return {y, means};
 }
+
+#if defined(KV_CUDA)
+// The same around a mean for pixels (B, C, height, width), of the type and layout of `like`, that `write` puts into the
+// memory of the result: nothing is allocated for them. None if no kernel reads a sample before it writes its result, or
+// if results are smaller than pixels.
+template <class Write>
+std::optional<std::tuple<Tensor, Tensor>> run_program_in_result(char const* op, Tensor const& like,
+                                                                std::array<int64_t, 2> size, ProgramArguments const& a,
+                                                                PlanArgument const& plan,
+                                                                std::vector<double> const& numbers, Write write) {
+  Layout const in = layout_of(like);
+  Layout const out = plan.layout < 0 ? in : plan.layout == 0 ? Layout::planar : Layout::channels_last;
+  int64_t const batch = like.size(0), channels = like.size(1), pixels = size[0] * size[1];
+  if (a.in_double || a.sequence.one_channel || channels != 3 || batch * pixels == 0) return {};
+  Tensor const y = empty({batch, channels, size[0], size[1]}, like, out, result_type(plan, like));
+  int64_t const apart = channels * pixels * int64_t(y.element_size()) / int64_t(like.element_size());
+  int64_t const planar[] = {apart, pixels, size[1], 1}, last[] = {apart, 1, channels * size[1], channels};
+  if (apart < channels * pixels) return {};
+  Samples const samples{batch, 1, pixels, false, false};
+  Tensor const means = empty({batch, 1}, like, Layout::planar, ScalarType::Float),
+               x = in_memory_of(y, like, {batch, channels, size[0], size[1]}, in == Layout::planar ? planar : last);
+  Program<float> p = program_of<float>(a, samples, numbers, plan.columns);
+  p.x = samples.pixels_of(op, x, in);
+  p.x.outer_stride = apart;
+  p.y = samples.pixels_of(op, y, out);
+  p.means = data_ptr<float>(means);
+  p.overwrites = true;
+  if (!cuda::takes_clusters(p)) return {};
+  write(x);
+  KV_RUN(program_by_clusters, like, p, p.samples, 0);
+  return std::tuple{y, means};
+}
+#endif
 
 // Whether parameter i of an affine step is a factor. The others are offsets, or say that nothing is clipped.
 inline bool is_factor(Step step, int i) {

@@ -26,4 +26,18 @@ inline Tensor view_of(Tensor const& x, std::initializer_list<int64_t> sizes, int
   return view_of(x, sizes, strides, offset);
 }
 
+// Of the type and device of `like`, in the memory of `x`, which outlives it.
+inline Tensor in_memory_of(Tensor const& x, Tensor const& like, std::initializer_list<int64_t> sizes,
+                           int64_t const* strides) {
+  int32_t dtype, device_type;
+  TORCH_ERROR_CODE_CHECK(aoti_torch_get_dtype(like.get(), &dtype));
+  TORCH_ERROR_CODE_CHECK(aoti_torch_get_device_type(like.get(), &device_type));
+  AtenTensorHandle handle;
+  auto const keep = [](void*, void*) {};
+  TORCH_ERROR_CODE_CHECK(torch_from_blob(x.mutable_data_ptr(), int64_t(sizes.size()), sizes.begin(), strides, 0, dtype,
+                                         device_type, int32_t(x.get_device_index()), &handle,
+                                         aoti_torch_layout_strided(), nullptr, 0, keep, nullptr));
+  return Tensor(handle);
+}
+
 }  // namespace kv

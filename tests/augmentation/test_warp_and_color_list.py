@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import pytest
 import torch
 
 from augmentation.test_lists import SIZES, STARTS, chain, pictures
+from benchmarks.timing import extra_bytes, launches
 from kvision import augmentation as A
 from op_tests import assert_close
 
@@ -48,3 +51,26 @@ def test_long_lists_are_those_of_their_parts(device):
     images = pictures(device, [(4 + i % 7, 5 + i % 3) for i in range(520)])
     augment, seeds = chain(A.RandomResizedCrop((6, 6))), torch.arange(520, device=device)
     assert torch.equal(augment(images, seed=seeds)[510:], augment(images[510:], seed=seeds[510:]))
+
+
+@pytest.mark.parametrize("kind", ["list", "planes", "pixels"])
+def test_a_program_around_a_mean_overwrites_antialiased_windows(kind, device):
+    """On CUDA three launches, and nothing is allocated for the windows; samples without contrast wait for the others, too."""
+    if device.type != "cuda":
+        pytest.skip("only kernels on CUDA overwrite their input")
+    batch = (255 * torch.rand(6, 90, 110, 3, device=device)).byte().permute(0, 3, 1, 2)
+    batch = batch if kind == "pixels" else batch.contiguous()
+    images = [x[:, i:] for i, x in enumerate(batch)] if kind == "list" else batch
+    for p in (1.0, 0.5):
+        augment = A.ImageSequential(
+            A.RandomResizedCrop((64, 60), antialias=True),
+            A.ColorJitter(0.4, 0.4, 0.4, 0.1, p=p),
+            A.Normalize(0.4, 0.3),
+            output_dtype=torch.float16,
+        )
+        call = partial(augment, images)
+        assert extra_bytes(call) < 65536 and launches(call) == 3
+        seeds = torch.arange(6, device=device)
+        on_cpu = [x.cpu() for x in images] if kind == "list" else images.cpu()
+        apart = augment(images, seed=seeds).cpu().float() - augment(on_cpu, seed=seeds.cpu()).float()
+        assert apart.abs().mean() < 1e-3 and apart.abs().max() < 0.1  # a resized byte may be rounded to its neighbor

@@ -145,10 +145,11 @@ struct ListResizing {
   }
 
   // The results, which run(type, tables) computes: tables(list, items_of, launch) fills the list and calls
-  // launch(first sample) for each of its tables; items_of(size) is the number of the items of a result.
+  // launch(first sample) for each of its tables; items_of(size) is the number of the items of a result. A batch of
+  // results may be written to `memory`.
   template <class Run>
-  Tensors results(Run run) const {
-    Tensors const results = empty_results(like, sizes, count, layout, backward);
+  Tensors results(Run run, std::optional<Tensor> const& memory = {}) const {
+    Tensors const results = memory ? Tensors{*memory} : empty_results(like, sizes, count, layout, backward);
     if (channels == 0) return results;
     Tensors const readable = in_layout(inputs, layout);
     BatchOrList const from(readable), to(results);

@@ -8,6 +8,7 @@ namespace kv::geometry::cuda {
 namespace {
 
 constexpr int kThreads = kItemColumns, kRows = kItemRows;
+constexpr int kAtOnce = 4;  // rows whose pixels a thread reads before it needs them
 
 // The pixels that an index reads, if these are two at most. Unused entries have weight 0 and an index in bounds.
 template <class F>
@@ -61,21 +62,31 @@ __global__ void __launch_bounds__(kThreads) resize_list_tiles(__grid_constant__ 
   if (in_pairs) {
     int64_t const left = columns.at[0] * from.step, right = columns.at[1] * from.step;
     for (int c = 0; c < planes; ++c, source += from.channel_stride, out += plane_size) {
-#pragma unroll 4
-      for (int r = 0; r < kRows; ++r) {
-        if (r >= count) break;
-        F sum = 0;
+#pragma unroll 1
+      for (int r = 0; r < count; r += kAtOnce) {
+        // All taps are read before any is weighted, those of weight 0 as well, so that nothing waits for another read.
+        F taps[kAtOnce][2][2];
 #pragma unroll
-        for (int k = 0; k < 2; ++k) {
-          F const weight = rows[r].weights[k];
-          if (weight == 0) continue;
-          T const* const row = source + rows[r].at[k] * from.row_stride;
-          F line = 0;
-          if (columns.weights[0] != 0) line += columns.weights[0] * F(read(row[left]));
-          if (columns.weights[1] != 0) line += columns.weights[1] * F(read(row[right]));
-          sum += weight * line;
+        for (int j = 0; j < kAtOnce; ++j)
+#pragma unroll
+          for (int k = 0; k < 2; ++k) {
+            T const* const row = source + rows[r + j].at[k] * from.row_stride;
+            taps[j][k][0] = F(read(row[left]));
+            taps[j][k][1] = F(read(row[right]));
+          }
+#pragma unroll
+        for (int j = 0; j < kAtOnce; ++j) {
+          F sum = 0;
+#pragma unroll
+          for (int k = 0; k < 2; ++k) {
+            F line = 0;
+#pragma unroll
+            for (int l = 0; l < 2; ++l)
+              line = columns.weights[l] != 0 ? line + columns.weights[l] * taps[j][k][l] : line;
+            sum = rows[r + j].weights[k] != 0 ? sum + rows[r + j].weights[k] * line : sum;
+          }
+          if (r + j < count) out[int64_t(r + j) * size] = round_to<T>(sum);
         }
-        out[int64_t(r) * size] = round_to<T>(sum);
       }
     }
     return;

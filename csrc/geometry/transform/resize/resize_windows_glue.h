@@ -7,9 +7,11 @@
 
 namespace kv::geometry {
 
-// From images to results of `size`, or from the gradient of results to that of images of `size`.
+// From images to results of `size`, or from the gradient of results to that of images of `size`. They may be written to
+// `memory`, of their layout.
 inline Tensor windows_resized(char const* op, Tensor const& input, Tensor const& matrix,
-                              std::vector<int64_t> const& sides, int64_t filter, bool align_corners, bool backward) {
+                              std::vector<int64_t> const& sides, int64_t filter, bool align_corners, bool backward,
+                              std::optional<Tensor> const& memory = {}) {
   check_images(op, backward ? "grad" : "input", input);
   Size const size = checked_size(op, sides);
   checked_size(op, input);
@@ -20,7 +22,7 @@ inline Tensor windows_resized(char const* op, Tensor const& input, Tensor const&
   Tensor const matrices = dense(matrix);
   Layout const layout = layout_of(input);
   Tensor const x = as_layout(input, layout);
-  Tensor const y = empty({x.size(0), x.size(1), size.height, size.width}, x, layout);
+  Tensor const y = memory ? *memory : empty({x.size(0), x.size(1), size.height, size.width}, x, layout);
   auto const run = [&](auto type) {
     using T = typename decltype(type)::type;
     ResizeWindows<T> const params{planes<T const>(x, layout),

@@ -236,7 +236,7 @@ __global__ void __launch_bounds__(kThreads, kBlocks)
         if constexpr (sizeof(T) == 1) {
           uint32_t const word = *reinterpret_cast<uint32_t const*>(from);
 #pragma unroll
-          for (int e = 0; e < 4; ++e) sums[e] += weight * float(word >> (8 * e) & 255);
+          for (int e = 0; e < 4; ++e) sums[e] += weight * byte_of<float>(word, e);
         } else if (weight != 0) {
           float4 const four = *reinterpret_cast<float4 const*>(from);
           sums[0] += weight * four.x, sums[1] += weight * four.y;

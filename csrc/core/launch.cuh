@@ -20,6 +20,14 @@ namespace kv {
 __device__ __forceinline__ float read(float x) { return x; }
 __device__ __forceinline__ double read(double x) { return x; }
 __device__ __forceinline__ float read(uint8_t x) { return float(x); }
+// Byte k of four, as a floating-point number.
+template <class F>
+__device__ __forceinline__ F byte_of(uint32_t four, int k) {
+  if constexpr (sizeof(F) == 4)  // 2^23 plus the byte, as bits: a conversion instruction takes four times as long
+    return __uint_as_float(__byte_perm(four, 0x4b000000u, 0x7440 + k)) - F(1 << 23);
+  else
+    return F(four >> 8 * k & 255);
+}
 // Inline assembly because CUDA's headers of 16-bit types add a second to the compilation of every file.
 __device__ __forceinline__ float read(Half x) {
   float y;

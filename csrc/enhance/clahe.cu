@@ -105,14 +105,6 @@ __global__ void __launch_bounds__(Threads)
 
 constexpr int kThreads = 128;
 
-// Byte k of four, as a floating-point number.
-template <class F>
-__device__ __forceinline__ F byte_of(uint32_t four, int k) {
-  if constexpr (sizeof(F) == 4)  // 2^23 plus the byte, as bits: a conversion instruction takes four times as long
-    return __uint_as_float(__byte_perm(four, 0x4b000000u, 0x7440 + k)) - F(1 << 23);
-  else
-    return F(four >> 8 * k & 255);
-}
 // v / 255, rounded like a float division, in a third of its instructions (P. Markstein, "Computation of elementary
 // functions on the IBM RISC System/6000 processor", 1990).
 __device__ __forceinline__ float over_255(float v) {

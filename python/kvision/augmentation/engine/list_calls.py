@@ -96,7 +96,8 @@ def refuse_list(op: str, modules: Any) -> None:
     for module in modules:
         if getattr(module, "mixes_samples", False):
             raise TypeCheckError(
-                f"{op}: expected a batch for {type(module).__name__}, which mixes samples, got a list of images"
+                f"{op}: expected a batch for {type(module).__name__}, which mixes samples, got a list of images; begin "
+                "with a crop or resize to a fixed size, or mix the batch that another container makes of the list"
             )
     if is_compiling():
         raise RuntimeError(

@@ -362,28 +362,64 @@ def of_frames(setup: Setup) -> Iterator[Figure]:
     """To float16 in one launch, against two calls. The floor reads the planes and writes the result."""
     count, (height, width) = 32 if setup.is_cuda else 1, FRAME
     frames = torch.randint(16, 236, (count, 3 * height // 2, width), dtype=torch.uint8, device=setup.device)
-    boxes = torch.tensor([[(width - height) / 2.0, 0, (width + height) / 2, height]], device=setup.device).expand(
-        count, 4
-    )
+    edges = ((width - height) / 2.0, 0, (width + height) / 2, height)
+    boxes = torch.tensor([edges], device=setup.device).expand(count, 4)
     colors = {"matrix": "bt709", "mean": MEAN, "std": STD, "dtype": torch.float16}
     half = (height // 2, width // 2)
+    rgb = K.color.frames_to_rgb(frames, matrix="bt709")
 
-    def in_two_calls() -> Tensor:
-        resized: Tensor = K.geometry.resize(K.color.frames_to_rgb(frames, matrix="bt709"), half, antialias=True)
+    def in_two_calls(size: tuple[int, int], columns: slice = slice(None), antialias: bool = True) -> Tensor:
+        converted = K.color.frames_to_rgb(frames, matrix="bt709")[..., columns]
+        resized: Tensor = K.geometry.resize(converted, size, antialias=antialias)
         return resized
 
-    for name, call in (
-        ("to 224x224 crops", lambda: K.color.resize_frames(frames, CROP, boxes, **colors)),
-        ("to 224x224 crops, antialiased", lambda: K.color.resize_frames(frames, CROP, boxes, antialias=True, **colors)),
-        ("to half size, antialiased", lambda: K.color.resize_frames(frames, half, antialias=True, **colors)),
+    center = slice(int(edges[0]), int(edges[2]))
+    for name, call, both in (
+        (
+            "to 224x224 crops",
+            lambda: K.color.resize_frames(frames, CROP, boxes, **colors),
+            partial(in_two_calls, CROP, center, False),
+        ),
+        (
+            "to 224x224 crops, antialiased",
+            lambda: K.color.resize_frames(frames, CROP, boxes, antialias=True, **colors),
+            partial(in_two_calls, CROP, center),
+        ),
+        (
+            "to half size, antialiased",
+            lambda: K.color.resize_frames(frames, half, antialias=True, **colors),
+            partial(in_two_calls, half),
+        ),
     ):
         result = call()
         moved = frames.numel() + result.numel() * result.element_size()
-        seconds, two = setup.seconds_of([call, in_two_calls])
+        seconds, two = setup.seconds_of([call, both])
         yield Figure("frames", name, 1e3 * seconds, "ms")
         yield Figure("frames", name, seconds * setup.bandwidth / moved, "floors", 1.5 if setup.is_cuda else None)
-        if result.shape[2:] == half:
-            yield Figure("frames", "frames_to_rgb and resize to half size, over that", two / seconds, "")
+        yield Figure(
+            "frames",
+            f"frames_to_rgb and resize {name}, over that",
+            two / seconds,
+            "",
+            2 if setup.is_cuda else None,
+            True,
+        )
+    video = K.color.Frames(frames, matrix="bt709", dtype=torch.float16)
+    crop = A.ImageSequential(
+        A.RandomResizedCrop(CROP, antialias=True), A.RandomHorizontalFlip(), A.Normalize(MEAN, STD)
+    )
+    of_frames, of_images = setup.seconds_of(
+        [partial(crop, video), lambda: crop(K.color.frames_to_rgb(frames, matrix="bt709", dtype=torch.float16))]
+    )
+    yield Figure("frames", "container: random crop, flip, normalize", 1e3 * of_frames, "ms")
+    yield Figure("frames", "container of converted images, over that", of_images / of_frames, "")
+    for name, call, moved in (
+        ("frames_to_rgb", lambda: K.color.frames_to_rgb(frames, matrix="bt709"), frames.numel() + rgb.numel()),
+        ("rgb_to_frames", lambda: K.color.rgb_to_frames(rgb, matrix="bt709"), frames.numel() + rgb.numel()),
+    ):
+        (seconds,) = setup.seconds_of([call])
+        yield Figure("frames", f"{name}, bytes", 1e3 * seconds, "ms")
+        yield Figure("frames", f"{name}, bytes", seconds * setup.bandwidth / moved, "floors")
 
 
 def of_warps(setup: Setup) -> Iterator[Figure]:

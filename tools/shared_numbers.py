@@ -36,7 +36,7 @@ MODES = (
     ("POLICY_OPERATION", "Operation", "augmentation/auto/operations.h", ""),
     ("NODE_KIND", "NodeKind", "augmentation/preimages/preimages.h", ""),
     ("POSITION_KIND", "PositionKind", "augmentation/preimages/preimages.h", ""),
-    ("CHROMA_SITE", "ChromaSite", "color/frames.h", ""),
+    ("CHROMA_SITE", "ChromaSite", "color/frames/frames.h", ""),
     ("MIX_KIND", "MixKind", "augmentation/mixing/pieces.h", ""),
 )
 IN_PYTHON = {"nearest_exact": "nearest-exact"}  # names that C++ cannot have

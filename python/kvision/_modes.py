@@ -140,7 +140,7 @@ NODE_KIND_NAMES = tuple(NODE_KIND)
 # PositionKind in csrc/augmentation/preimages/preimages.h
 POSITION_KIND = {"invisible": 0, "nearest_pixel": 1, "exact": 2}
 POSITION_KIND_NAMES = tuple(POSITION_KIND)
-# ChromaSite in csrc/color/frames.h
+# ChromaSite in csrc/color/frames/frames.h
 CHROMA_SITE = {"nearest": 0, "cosited": 1, "between": 2}
 CHROMA_SITE_NAMES = tuple(CHROMA_SITE)
 # MixKind in csrc/augmentation/mixing/pieces.h

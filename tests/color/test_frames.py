@@ -328,3 +328,82 @@ class TestWarpFrames(FrameTests):
         }
     ]
     accepted = ("y cut along axis -1", "y cut along axis -2")
+
+
+@pytest.mark.parametrize("layout", ["nv12", "nv21", "i420", "yuy2", "p010"])
+@pytest.mark.parametrize("chroma", ["nearest", *SITINGS])
+def test_codes_of_colors(layout, chroma, device):
+    """Codes of BT.709 in float64, rounded once, of any size."""
+    kwargs = {} if chroma == "nearest" else {"chroma": "linear", "siting": chroma}
+    for height, width in [(4, 6), (5, 7), (1, 1), (2, 66), (7, 64)]:
+        if layout == "yuy2" and width % 2:
+            continue
+        image = torch.rand(2, 3, height, width, dtype=torch.float64)
+        r, g, b = image.unbind(1)
+        luma = 0.2126 * r + 0.7152 * g + 0.0722 * b
+        y, u, v = 16 + 219 * luma, 128 + 224 * (b - luma) / 1.8556, 128 + 224 * (r - luma) / 1.5748
+
+        def reduced(x: Tensor, dim: int, site: str) -> Tensor:
+            even = torch.arange(0, x.shape[dim], 2)
+            before, after = (even - 1).clamp(min=0), (even + 1).clamp(max=x.shape[dim] - 1)
+            x, a, b = (x.index_select(dim, i) for i in (even, before, after))
+            return x if site == "nearest" else (x + b) / 2 if site == "between" else x / 2 + (a + b) / 4
+
+        across = {"nearest": "nearest", "center": "between"}.get(chroma, "cosited")
+        down = {"nearest": "nearest", "topleft": "cosited"}.get(chroma, "between")
+        u, v = (reduced(c, 2, across) for c in (u, v))
+        if layout != "yuy2":
+            u, v = (reduced(c, 1, down) for c in (u, v))
+        x, split = image.to(device), layout != "yuy2"
+        floats = None if layout == "p010" else C.rgb_to_frames(x, layout, matrix="bt709", split=split, **kwargs)
+        integers = C.rgb_to_frames(
+            x, layout, matrix="bt709", split=split, dtype=None if layout == "p010" else torch.uint8, **kwargs
+        )
+        for found_codes, scale in ((floats, 255.0), (integers, 256.0 if layout == "p010" else 1.0)):
+            if found_codes is None:
+                continue
+            if layout == "yuy2":
+                parts = [found_codes[..., 0], found_codes[:, :, ::2, 1], found_codes[:, :, 1::2, 1]]
+            else:
+                luma_codes, *rest = found_codes
+                pairs = rest if layout == "i420" else list(rest[0].unbind(-1))
+                parts = [luma_codes[:, 0], *(c.squeeze(1) if layout == "i420" else c for c in pairs)]
+                parts = [parts[0], parts[2], parts[1]] if layout == "nv21" else parts
+            for part, expected in zip(parts, (y, u, v)):
+                found = part.cpu().double() * (scale if scale == 255 else 1 / scale)
+                limit = 1e-9 if scale == 255 else 0.51 / (4 if scale == 256 else 1)
+                assert (found - expected).abs().max() <= limit
+    # Images of bytes, of other layouts and single ones.
+    levels = codes(2, 3, 6, 8).to(device)
+    expected = C.rgb_to_frames(levels, layout)
+    assert torch.equal(C.rgb_to_frames(levels.contiguous(memory_format=torch.channels_last), layout), expected)
+    assert torch.equal(C.rgb_to_frames(levels[1], layout), expected[1])
+
+
+def all_codes(image, **kwargs):
+    """The codes of all planes of each frame, in one row."""
+    planes = C.rgb_to_frames(image, split=True, **kwargs)
+    return (
+        torch.cat([plane.flatten(1) for plane in planes], 1)
+        if isinstance(image, Tensor) and image.dim() == 4
+        else planes
+    )
+
+
+all_codes.__name__ = "rgb_to_frames"
+
+
+class TestRgbToFrames(OpTests):
+    function = staticmethod(all_codes)
+    operators = ("coded_frames",)
+    bytes = True
+    channels = 3
+    shape = (2, 3, 8, 10)
+    small = (1, 3, 4, 6)
+    max_size = 9
+    variants = [{"chroma": "linear", "siting": "topleft"}, {"matrix": "bt2020", "layout": "i420"}]
+
+    def test_other_integers_become_float32(self, variant, device):
+        x, kwargs = self.setup(variant, device, torch.uint8)
+        with pytest.raises(TypeCheckError, match="uint8"):
+            self.call(x.int(), kwargs)

@@ -25,6 +25,7 @@ from kvision.augmentation.random_generator.plain import PlainUniformGenerator
 from kvision.augmentation.ranges import Numbers
 from kvision.augmentation.transforms import Transform, transform_matrix
 from kvision.augmentation.warp_and_color import Resampling
+from kvision.color.frames import Frames
 from kvision.constants import AnyResample, Resample
 from kvision.core.exceptions import ValueCheckError
 
@@ -102,6 +103,13 @@ class Resize(GeometricAugmentationBase2D):
         mode: Any = Resample.get(flags["resample"]).name.lower()
         size = self.output_size(tuple(x.shape), flags)
         return geometry.resize(x, size, mode, align_corners=flags["align_corners"], antialias=True)
+
+    def _resize_frames(self, frames: Frames, flags: dict[str, Any]) -> Tensor:
+        """What `_warp` makes of the images that frames are, in a batch, if the resize runs by itself."""
+        mode: Any = Resample.get(flags["resample"]).name.lower()
+        size = self.output_size(tuple(frames.shape), flags)
+        y = geometry.resize(frames, size, mode, align_corners=flags["align_corners"], antialias=flags["antialias"])
+        return y[None] if frames.is_single else y
 
     def _warp_list(self, images: list[Tensor], matrix: Tensor, size: Sequence[int], flags: dict[str, Any]) -> Tensor:
         if not flags["antialias"]:

@@ -6,7 +6,7 @@ images; half types are rounded once, at the end.
 
 from kvision import _torch_compat
 from kvision.color.colormap import ApplyColorMap, ColorMap, ColorMapType, apply_colormap
-from kvision.color.frames import frames_to_rgb, resize_frames, rgb_to_frames, warp_frames
+from kvision.color.frames import Frames, frames_to_rgb, resize_frames, rgb_to_frames, warp_frames
 from kvision.color.gray import (
     BgrToGrayscale,
     GrayscaleToRgb,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Literal, TypeAlias, get_args
+from typing import Any, Literal, NamedTuple, TypeAlias, get_args
 
 import torch
 import torch.nn.functional as F
@@ -12,9 +12,11 @@ from torch import Tensor
 from kvision import _check
 from kvision._modes import CHROMA_SITE, DTYPE
 from kvision._ops import register, saturate_to_byte
+from kvision.color.steps import NAMES, STEPS
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
+from kvision.core.windows import windows_of
 
-__all__ = ["frames_to_rgb", "resize_frames", "rgb_to_frames", "warp_frames"]
+__all__ = ["Frames", "frames_to_rgb", "resize_frames", "rgb_to_frames", "warp_frames"]
 
 Matrix: TypeAlias = Literal["bt601", "bt709", "bt2020"]
 Layout: TypeAlias = Literal["nv12", "nv21", "i420", "yuy2", "p010"]
@@ -36,6 +38,21 @@ _DTYPES = tuple(getattr(torch, name) for name in DTYPE)
 # The weight of luma pixels 2 c - 1 to 2 c + 2 for chroma sample c along an axis, by where the sample is: `nearest` repeats it,
 # `cosited` samples are at pixel 2 c, `between` ones in the middle of pixels 2 c and 2 c + 1.
 _NEAREST, _COSITED, _BETWEEN = CHROMA_SITE.values()
+# How boxes are read: as they are, or antialiased. So are matrices as windows of whole pixels, by their edges or by the centers of
+# their outermost pixels.
+_PLAIN, _ANTIALIASED, _CENTERS = 0, 1, 2
+
+
+class Reading(NamedTuple):
+    """How a map is read."""
+
+    windows: int = _PLAIN
+    from_result: bool = False  # matrices are from pixels of the result to those of the frame
+    nearest: bool = False  # matrices take the nearest pixel
+    border: bool = False  # which continues outside, for matrices
+
+
+PLAINLY = Reading()
 
 
 def _axes_of(chroma: int) -> tuple[int, int]:
@@ -47,26 +64,32 @@ def _axes_of(chroma: int) -> tuple[int, int]:
 
 
 def _upsampled(x: Tensor, size: int, dim: int, kind: int) -> Tensor:
-    """Chroma along an axis at all `size` luma pixels of it."""
+    """Chroma along an axis at all `size` luma pixels of it. Made of slices, so that gradients add up in one order."""
     count = x.shape[dim]
     if count == size:
         return x
-    luma = torch.arange(size, device=x.device)
-    if kind == _NEAREST:
-        return x.index_select(dim, luma // 2)
-    position = luma / 2 - (0.25 if kind == _BETWEEN else 0)
-    first = position.floor()
-    share = (position - first).to(x.dtype)
-    share = share if dim == x.dim() - 1 else share[:, None]
-    a, b = (x.index_select(dim, i.long().clamp(0, count - 1)) for i in (first, first + 1))
-    return a + (b - a) * share
+    even = odd = x
+    if kind != _NEAREST:
+        after = torch.cat([x.narrow(dim, 1, count - 1), x.narrow(dim, count - 1, 1)], dim)
+        odd = x + (after - x) * (0.5 if kind == _COSITED else 0.25)
+    if kind == _BETWEEN:
+        before = torch.cat([x.narrow(dim, 0, 1), x.narrow(dim, 0, count - 1)], dim)
+        even = before + (x - before) * 0.75
+    return torch.stack([even, odd], dim + 1).flatten(dim, dim + 1).narrow(dim, 0, size)
 
 
-def _windows(start: Tensor, end: Tensor, count: int, size: int, antialias: bool) -> Tensor:
-    """The weights (B, count, size) of an axis of `size` pixels for `count` pixels of the interval from start to end, (B,)."""
-    low, high = torch.minimum(start, end).detach().floor(), torch.maximum(start, end).detach().ceil()
-    low = low.nan_to_num(0.0).clamp(0, size - 1)[:, None]
-    high = torch.maximum(high.nan_to_num(0.0).clamp(0, size)[:, None], low + 1)
+def _windows(axis: tuple[Tensor, ...], count: int, size: int, antialias: bool) -> Tensor:
+    """The weights (B, count, size) of an axis of `size` pixels for `count` pixels of the interval from start to end, (B,).
+
+    Only pixels within bounds count, the third and the fourth of `axis`, or those that the interval touches.
+    """
+    start, end, *bounds = axis
+    if bounds:
+        low, high = (bound.to(start.dtype)[:, None] for bound in bounds)
+    else:
+        low, high = torch.minimum(start, end).detach().floor(), torch.maximum(start, end).detach().ceil()
+        low = low.nan_to_num(0.0).clamp(0, size - 1)[:, None]
+        high = torch.maximum(high.nan_to_num(0.0).clamp(0, size)[:, None], low + 1)
     scale = ((end - start) / count)[:, None]
     support = scale.abs().clamp(min=1.0) if antialias else torch.ones_like(scale)
     steps = torch.arange(count, device=start.device, dtype=start.dtype) + 0.5
@@ -76,6 +99,20 @@ def _windows(start: Tensor, end: Tensor, count: int, size: int, antialias: bool)
     inside = (pixels >= low[..., None]) & (pixels < high[..., None])
     weights = torch.where(inside, (1 - distance.abs()).clamp(min=0.0), 0.0)
     return weights / weights.sum(-1, keepdim=True)
+
+
+def _axis_of_windows(
+    matrix: Tensor, axis: int, source: int, count: int, align_corners: bool, dtype: torch.dtype
+) -> tuple[Tensor, ...]:
+    """The interval of an axis (0: x, 1: y) that a window is, and its pixels."""
+    first, size, mirrored = windows_of(matrix, axis, source, count, align_corners)
+    low, high = first.to(dtype), (first + size).to(dtype)
+    pixel = (high - low) / count
+    if align_corners:
+        pixel = (high - low - 1) / (count - 1) if count > 1 else torch.ones_like(low)
+    margin = (1 - pixel) / 2 if align_corners else torch.zeros_like(pixel)
+    start, step = torch.where(mirrored, high - margin, low + margin), torch.where(mirrored, -pixel, pixel)
+    return start, start + count * step, low, high
 
 
 def _tents(position: Tensor, size: int) -> tuple[tuple[Tensor, Tensor], ...]:
@@ -90,20 +127,27 @@ def _tents(position: Tensor, size: int) -> tuple[tuple[Tensor, Tensor], ...]:
     return tap(first), tap(first + 1)
 
 
-def _warped(yuv: Tensor, matrix: Tensor, height: int, width: int) -> tuple[Tensor, Tensor]:
+def _warped(
+    yuv: Tensor, matrix: Tensor, height: int, width: int, is_inverse: int, nearest: int, border: int
+) -> tuple[Tensor, Tensor]:
     """Planes (B, 3, height, width) at the sources of the result's pixels, and the share of these that is in the frame."""
     a, b, c = matrix.unbind(1)
     adjugate = torch.stack([torch.linalg.cross(b, c), torch.linalg.cross(c, a), torch.linalg.cross(a, b)], 2)
     determinant = (a * adjugate[..., 0]).sum(1)[:, None, None]
-    inverse = torch.where(determinant == 0, torch.nan, adjugate)
+    inverse = matrix if is_inverse else torch.where(determinant == 0, torch.nan, adjugate)
     xs, ys = (torch.arange(n, device=yuv.device, dtype=yuv.dtype) for n in (width, height))
     grid = torch.stack([xs.expand(height, width), ys[:, None].expand(height, width), yuv.new_ones(height, width)])
     x, y, z = (inverse @ grid.flatten(1)).unbind(1)
+    x, y = x / z, y / z
+    if nearest:
+        x, y = x.round(), y.round()
+    if border:
+        x, y = x.clamp(0, yuv.shape[3] - 1), y.clamp(0, yuv.shape[2] - 1)
     batch = max(yuv.shape[0], matrix.shape[0]) if yuv.shape[0] else 0
     planes = yuv.flatten(2).expand(batch, -1, -1)
     values, inside = yuv.new_zeros(()), yuv.new_zeros(())
-    for row, of_row in _tents(y / z, yuv.shape[2]):
-        for column, of_column in _tents(x / z, yuv.shape[3]):
+    for row, of_row in _tents(y, yuv.shape[2]):
+        for column, of_column in _tents(x, yuv.shape[3]):
             index = (row * yuv.shape[3] + column)[:, None].expand(batch, 3, -1)
             weight = of_row * of_column
             values = values + planes.gather(2, index) * weight[:, None]
@@ -114,7 +158,7 @@ def _warped(yuv: Tensor, matrix: Tensor, height: int, width: int) -> tuple[Tenso
 def _reference(
     y: Tensor, u: Tensor, v: Tensor, map: Tensor | None, plan: Sequence[int], numbers: Sequence[float]
 ) -> Tensor:
-    height, width, dtype_number, chroma, antialias = plan
+    height, width, dtype_number, chroma, kind, *options = plan
     if not height:
         height, width = y.shape[1:]
     dtype = _DTYPES[dtype_number]
@@ -127,13 +171,17 @@ def _reference(
         map = torch.cat(
             [yuv.new_zeros(1, 2), yuv.new_full((1, 1), yuv.shape[3]), yuv.new_full((1, 1), yuv.shape[2])], 1
         )
-    if map is not None and map.dim() == 2:
-        x1, y1, x2, y2 = map.to(wide).unbind(1)
-        rows = _windows(y1, y2, height, y.shape[1], bool(antialias))
-        columns = _windows(x1, x2, width, y.shape[2], bool(antialias))
+    if map is not None and (map.dim() == 2 or kind != _PLAIN):
+        sizes, counts = (yuv.shape[3], yuv.shape[2]), (width, height)
+        if map.dim() == 2:
+            x1, y1, x2, y2 = map.to(wide).unbind(1)
+            axes: list[tuple[Tensor, ...]] = [(x1, x2), (y1, y2)]
+        else:
+            axes = [_axis_of_windows(map, i, sizes[i], counts[i], kind == _CENTERS, wide) for i in range(2)]
+        columns, rows = (_windows(axes[i], counts[i], sizes[i], kind != _PLAIN) for i in range(2))
         yuv = rows[:, None] @ yuv @ columns[:, None].mT
     elif map is not None:
-        yuv, inside = _warped(yuv, map.to(wide), height, width)
+        yuv, inside = _warped(yuv, map.to(wide), height, width, *options)
     luma, blue, red = yuv.unbind(1)
     matrix, (offset, bias, low, high) = numbers[:9], (numbers[i : i + 3] for i in (9, 12, 15, 18))
     inside = inside if isinstance(inside, float) else inside[:, 0]
@@ -159,7 +207,7 @@ def _kernel_serves(y: Tensor, *args: Any) -> str | None:
 # RGB (B, 3, h, w) of the planes y (B, H, W), u and v (B, (H + 1) // 2 or H, (W + 1) // 2 or W): the whole frame, or that part of
 # it that `map` says, by boxes (B, 4) or by matrices (B, 3, 3) from pixels of the frame to those of the result. `plan` holds
 # height and width of the result, 0 for those of the frame, its DType, the number of the chroma's siting (0: nearest) and
-# whether boxes are antialiased. `numbers` are the color matrix, its offset, the
+# a Reading of the map. `numbers` are the color matrix, its offset, the
 # bias, the lowest and the highest colors.
 _planes_to_rgb = register(
     "planes_to_rgb",
@@ -205,18 +253,40 @@ def _ycc_of_rgb(matrix: Matrix) -> list[list[float]]:
 
 
 def _color_numbers(
-    codes: tuple[float, ...], matrix: Matrix, mean: Sequence[float], std: Sequence[float], levels: float
+    codes: tuple[float, ...], matrix: Matrix, factors: Sequence[float], shifts: Sequence[float]
 ) -> list[float]:
-    """The numbers of the operator: conversion, normalization and the factor `levels` are one affine map."""
+    """The numbers of the operator: conversion, and then factors and shifts of colors in [0, 1], are one affine map."""
     black, luma, gray, chroma, _ = codes
     weights, offsets = [], []
-    for row, deviation in zip(_rgb_of_ycc(matrix), std):
-        factors = [w * levels / (width * deviation) for w, width in zip(row, (luma, chroma, chroma))]
-        weights += factors
-        offsets.append(-sum(f * zero for f, zero in zip(factors, (black, gray, gray))))
-    bias = [-m * levels / s for m, s in zip(mean, std)]
-    highest = [(1 - m) * levels / s for m, s in zip(mean, std)]
-    return [*weights, *offsets, *bias, *bias, *highest]
+    for row, factor in zip(_rgb_of_ycc(matrix), factors):
+        of_codes = [w * factor / width for w, width in zip(row, (luma, chroma, chroma))]
+        weights += of_codes
+        offsets.append(-sum(f * zero for f, zero in zip(of_codes, (black, gray, gray))))
+    bounds = [sorted((shift, factor + shift)) for factor, shift in zip(factors, shifts)]
+    return [*weights, *offsets, *shifts, *(low for low, _ in bounds), *(high for _, high in bounds)]
+
+
+def affine_of(
+    steps: Sequence[int], columns: Sequence[int], numbers: Sequence[float]
+) -> tuple[list[float], list[float]] | None:
+    """Factors and shifts of the channels that the steps of a color program are; None if they are more, or not numbers."""
+    if any(column >= 0 for column in columns):
+        return None
+    factors, shifts, at = [1.0] * 3, [0.0] * 3, 0
+    for step in steps:
+        name, count = NAMES[step], STEPS[NAMES[step]].parameters
+        own, at = list(numbers[at : at + count]), at + count
+        channels = 3 if name.endswith("_rgb") else 1
+        first, second = ((own[i * channels : (i + 1) * channels] * (3 // channels)) for i in range(2))
+        if name in ("standardize", "standardize_rgb") and all(second):
+            factor, shift = [1 / s for s in second], [-m / s for m, s in zip(first, second)]
+        elif name in ("scale_shift", "scale_shift_rgb") and not own[-1]:
+            factor, shift = first, second
+        else:
+            return None
+        factors = [f * g for f, g in zip(factors, factor)]
+        shifts = [s * g + t for s, g, t in zip(shifts, factor, shift)]
+    return factors, shifts
 
 
 # --- layouts ---------------------------------------------------------------------------------------------------------
@@ -335,6 +405,152 @@ def _per_channel(op: str, name: str, value: Any, default: float) -> list[float]:
     return [_check.number(op, name, value)] * 3
 
 
+# --- frames ----------------------------------------------------------------------------------------------------------
+
+
+class Frames:
+    """Frames of a video decoder in place of the images that they are: what reads them converts them.
+
+    They are read where they are, without RGB of their size, by :func:`kvision.geometry.resize`, `center_crop`,
+    `crop_and_resize`, `warp_affine` and `warp_perspective` where these are bilinear, and by augmentations and containers
+    whose first step is such a crop, resize or warp; a normalization right behind it is part of that launch. All others
+    begin with :meth:`rgb`. The results are those of RGB images that are not clamped before they are resampled, but once,
+    behind it.
+
+    Args:
+        planes: as :func:`frames_to_rgb` takes them, like the other arguments.
+        layout: 'nv12', 'nv21', 'i420', 'yuy2' or 'p010'.
+        matrix: 'bt601', 'bt709' or 'bt2020'.
+        color_range: 'limited' or 'full'.
+        chroma: 'nearest' or 'linear'.
+        siting: 'left', 'center' or 'topleft'.
+        size: height and width to display.
+        dtype: of the images: uint8, or a floating-point type for colors in [0, 1]. Default: uint8 for uint8 planes, that of
+            floating-point planes, float32 for uint16.
+
+    Attributes:
+        shape: (B, 3, H, W), or (3, H, W) without B.
+        dtype: of the images.
+        device: of the planes.
+
+    Raises:
+        TypeError, ValueError: as :func:`frames_to_rgb`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> nv12 = torch.full((2, 1620, 1920), 128, dtype=torch.uint8)
+        >>> frames = K.color.Frames(nv12, matrix="bt709", dtype=torch.float16)
+        >>> frames
+        Frames((2, 3, 1080, 1920), 'nv12', dtype=torch.float16)
+        >>> crop, normalize = K.augmentation.RandomResizedCrop((224, 224)), K.augmentation.Normalize(0.5, 0.5)
+        >>> K.augmentation.ImageSequential(crop, K.augmentation.RandomHorizontalFlip(), normalize)(frames).shape
+        torch.Size([2, 3, 224, 224])
+    """
+
+    def __init__(
+        self,
+        planes: Tensor | Sequence[Tensor],
+        layout: Layout = "nv12",
+        *,
+        matrix: Matrix = "bt601",
+        color_range: ColorRange = "limited",
+        chroma: Chroma = "nearest",
+        siting: Siting = "left",
+        size: tuple[int, int] | None = None,
+        dtype: torch.dtype | None = None,
+    ) -> None:
+        self._set("Frames", planes, layout, matrix, color_range, chroma, siting, size, dtype)
+
+    @classmethod
+    def _of(cls, op: str, *arguments: Any) -> Frames:
+        """Those of a function, whose errors say its name."""
+        frames = cls.__new__(cls)
+        frames._set(op, *arguments)
+        return frames
+
+    def _set(
+        self,
+        op: str,
+        planes: Any,
+        layout: Layout,
+        matrix: Matrix,
+        color_range: ColorRange,
+        chroma: Chroma,
+        siting: Siting,
+        size: Any,
+        dtype: torch.dtype | None,
+    ) -> None:
+        self._site = _check_colors(op, matrix, color_range, chroma, siting)
+        self._y, self._u, self._v, self.is_single = _planes(op, planes, layout, size)
+        if dtype is not None and (not isinstance(dtype, torch.dtype) or dtype not in _DTYPES):
+            raise TypeCheckError(f"{op}: expected dtype to be torch.uint8 or a floating-point type, got {dtype!r}")
+        stored = self._y.dtype
+        self.dtype = dtype or (torch.float32 if stored == torch.uint16 else stored)
+        self.layout, self._matrix = layout, matrix
+        self._codes = _codes(layout, color_range, stored)
+
+    @property
+    def shape(self) -> torch.Size:
+        batch, height, width = self._y.shape
+        return torch.Size((3, height, width) if self.is_single else (batch, 3, height, width))
+
+    @property
+    def device(self) -> torch.device:
+        return self._y.device
+
+    @property
+    def computed(self) -> torch.dtype:
+        """The type of colors that are not rounded."""
+        return torch.float64 if torch.float64 in (self.dtype, self._y.dtype) else torch.float32
+
+    def __len__(self) -> int:
+        return self.shape[0]
+
+    def __repr__(self) -> str:
+        return f"Frames({tuple(self.shape)}, {self.layout!r}, dtype={self.dtype})"
+
+    def rgb(self) -> Tensor:
+        """The images, (B, 3, H, W) or (3, H, W)."""
+        rgb = self._read(None, None)
+        return rgb[0] if self.is_single else rgb
+
+    def _like(self) -> Tensor:
+        """Images of their shape, type and device without values."""
+        return self._y.new_empty(1, dtype=self.dtype).expand(self.shape)
+
+    def _read(
+        self,
+        map: Tensor | None,
+        dsize: tuple[int, int] | None,
+        reading: Reading = PLAINLY,
+        factors: Sequence[float] = (1.0, 1.0, 1.0),
+        shifts: Sequence[float] = (0.0, 0.0, 0.0),
+        dtype: torch.dtype | None = None,
+    ) -> Tensor:
+        """What a map takes of the frames, as the operator says; colors in [0, 1] times factors, plus shifts; a batch always."""
+        y, dtype = self._y, dtype or self.dtype
+        # Planes of floats give their own type, which is then converted: kernels of all pairs of types are not worth their size.
+        stored = y.dtype if y.is_floating_point() else dtype
+        if map is not None:
+            map = map.to(torch.float64 if stored == torch.float64 else torch.float32)
+        levels = 255.0 if dtype == torch.uint8 else 1.0
+        scaled = ([value * levels for value in values] for values in (factors, shifts))
+        numbers = _color_numbers(self._codes, self._matrix, *scaled)
+        plan = [*(dsize or (0, 0)), _DTYPES.index(stored), self._site, *(int(option) for option in reading)]
+        rgb: Tensor = _planes_to_rgb(y, self._u, self._v, map, plan, numbers)
+        if stored != dtype:
+            rgb = saturate_to_byte(rgb) if dtype == torch.uint8 else rgb.to(dtype)
+        return rgb
+
+    def _map_of(self, op: str, name: str, map: Tensor) -> Tensor:
+        """A map on the device of the frames, if there is one of each, one for all, or one frame."""
+        map = _check.to_device_of(op, self._y, name, map, "planes")
+        count = self._y.shape[0]
+        if map.shape[0] not in (1, count) and count != 1:
+            raise ShapeError(f"{op}: expected one row of {name} for each of {count} frames, got {tuple(map.shape)}")
+        return map
+
+
 def _run(
     op: str,
     planes: Any,
@@ -351,33 +567,21 @@ def _run(
     dtype: torch.dtype | None,
     antialias: bool = False,
 ) -> Tensor:
-    number = _check_colors(op, matrix, color_range, chroma, siting)
-    y, u, v, single = _planes(op, planes, layout, size)
+    frames = Frames._of(op, planes, layout, matrix, color_range, chroma, siting, size, dtype)
     means, deviations = _per_channel(op, "mean", mean, 0.0), _per_channel(op, "std", std, 1.0)
     if min(deviations) <= 0:
         raise ValueCheckError(f"{op}: expected std above 0, got {std!r}", actual_value=std)
-    if dtype is not None and (not isinstance(dtype, torch.dtype) or dtype not in _DTYPES):
-        raise TypeCheckError(f"{op}: expected dtype to be torch.uint8 or a floating-point type, got {dtype!r}")
     normalizes = mean is not None or std is not None
-    if dtype is None:
-        dtype = y.dtype if y.is_floating_point() or (y.dtype == torch.uint8 and not normalizes) else torch.float32
+    if dtype is None and normalizes and frames.dtype == torch.uint8:
+        dtype = torch.float32
     if dtype == torch.uint8 and normalizes:
         raise TypeCheckError(f"{op}: expected a floating-point dtype of normalized colors, got {dtype}")
-    # Planes of floats give their own type, which is then converted: kernels of all pairs of types are not worth their size.
-    stored = y.dtype if y.is_floating_point() else dtype
-    height, width = (0, 0) if dsize is None else _check.ints(op, "dsize", dsize, 2)
+    sizes: Any = None if dsize is None else _check.ints(op, "dsize", dsize, 2)
     if map is not None:
-        map = _check.to_device_of(op, y, "matrices" if map.dim() == 3 else "boxes", map, "planes")
-        map = map.to(torch.float64 if stored == torch.float64 else torch.float32)
-        if map.shape[0] not in (1, y.shape[0]) and y.shape[0] != 1:
-            raise ShapeError(f"{op}: expected one row for each of {y.shape[0]} frames, got {tuple(map.shape)}")
-    levels = 255.0 if dtype == torch.uint8 else 1.0
-    numbers = _color_numbers(_codes(layout, color_range, y.dtype), matrix, means, deviations, levels)
-    plan = [height, width, _DTYPES.index(stored), number, int(antialias)]
-    rgb = _planes_to_rgb(y, u, v, map, plan, numbers)
-    if stored != dtype:
-        rgb = saturate_to_byte(rgb) if dtype == torch.uint8 else rgb.to(dtype)
-    return rgb[0] if single and rgb.shape[0] == 1 else rgb
+        map = frames._map_of(op, "matrices" if map.dim() == 3 else "boxes", map)
+    factors, shifts = [1 / s for s in deviations], [-m / s for m, s in zip(means, deviations)]
+    rgb = frames._read(map, sizes, Reading(_ANTIALIASED if antialias else _PLAIN), factors, shifts, dtype)
+    return rgb[0] if frames.is_single and rgb.shape[0] == 1 else rgb
 
 
 # --- frames to RGB ---------------------------------------------------------------------------------------------------
@@ -564,16 +768,65 @@ def warp_frames(
 
 
 def _subsampled(x: Tensor, dim: int, kind: int) -> Tensor:
-    """Chroma along an axis, of every second pixel or of the pixels around the samples."""
+    """Chroma along an axis, of every second pixel or of the pixels around the samples. Made of slices, as `_upsampled`."""
     count = x.shape[dim]
-    even = torch.arange(0, count, 2, device=x.device)
-    here = x.index_select(dim, even)
+    x = torch.cat([x, x.narrow(dim, count - 1, 1)], dim) if count % 2 else x
+    here, after = x.unflatten(dim, (-1, 2)).unbind(dim + 1)
     if kind == _NEAREST:
         return here
-    after = x.index_select(dim, (even + 1).clamp(max=count - 1))
     if kind == _BETWEEN:
         return (here + after) / 2
-    return here / 2 + (x.index_select(dim, (even - 1).clamp(min=0)) + after) / 4
+    before = torch.cat([here.narrow(dim, 0, 1), after.narrow(dim, 0, after.shape[dim] - 1)], dim)
+    return here / 2 + (before + after) / 4
+
+
+def _coded_reference(input: Tensor, plan: Sequence[int], numbers: Sequence[float]) -> Tensor:
+    number, is_integer, chroma = plan
+    layout = _LAYOUTS[number]
+    wide = torch.float64 if input.dtype == torch.float64 else torch.float32
+    red, green, blue = input.to(wide).unbind(1)
+
+    def coded(k: int) -> Tensor:
+        a, b, c = numbers[3 * k : 3 * k + 3]
+        return red * a + green * b + blue * c + numbers[9 + k]
+
+    y, u, v = coded(0), coded(1), coded(2)
+    along_x, along_y = _axes_of(chroma)
+    u, v = (_subsampled(c, 2, along_x) for c in (u, v))
+    if layout != "yuy2":
+        u, v = (_subsampled(c, 1, along_y) for c in (u, v))
+    if layout == "nv21":
+        u, v = v, u
+    if layout == "yuy2":
+        codes = torch.stack([y, torch.stack([u, v], 3).flatten(2)], 3).flatten(1)
+    elif layout == "i420":
+        codes = torch.cat([c.flatten(1) for c in (y, u, v)], 1)
+    else:
+        codes = torch.cat([y.flatten(1), torch.stack([u, v], 3).flatten(1)], 1)
+    if not is_integer:
+        return codes.to(input.dtype)
+    if layout == "p010":
+        return (codes.round().clamp(0, 1023) * 64).to(torch.int32).to(torch.uint16)
+    return saturate_to_byte(codes)
+
+
+def _fake_codes(input: Tensor, plan: Sequence[int], numbers: Sequence[float]) -> Tensor:
+    layout, (height, width) = _LAYOUTS[plan[0]], input.shape[2:]
+    rows = height if layout == "yuy2" else (height + 1) // 2
+    dtype = input.dtype if not plan[1] else torch.uint16 if layout == "p010" else torch.uint8
+    return input.new_empty((input.shape[0], height * width + 2 * rows * ((width + 1) // 2)), dtype=dtype)
+
+
+# The codes of each frame (B, N) in their order, of RGB (B, 3, H, W). `plan` holds the number of the layout, whether codes are
+# integers, and the number of the chroma's siting. `numbers` are the matrix from colors to codes, and its offset.
+_coded_frames = register(
+    "coded_frames",
+    _coded_reference,
+    fake=_fake_codes,
+    bytes=True,
+    casts_outputs=True,
+    supports=_kernel_serves,
+)
 
 
 def rgb_to_frames(
@@ -638,39 +891,30 @@ def rgb_to_frames(
     if (packed or not split) and (width % 2 or (height % 2 and layout == "i420")):
         advice = "" if packed else "; split=True gives planes of odd sizes"
         raise ShapeError(f"{op}: expected image of even size for layout {layout!r}, got {tuple(image.shape)}{advice}")
-    wide = torch.float64 if torch.float64 in (image.dtype, dtype) else torch.float32
-    rgb = image.to(wide) / 255 if image.dtype == torch.uint8 else image.to(wide)
-    rgb = rgb[None] if image.dim() == 3 else rgb
+    is_integer = dtype in (torch.uint8, torch.uint16)
+    rgb = image[None] if image.dim() == 3 else image
+    if not is_integer and (rgb.dtype == torch.uint8 or dtype == torch.float64):
+        rgb = rgb.to(torch.float64 if dtype == torch.float64 else torch.float32)
+    step = 1.0 if is_integer else 1 / 255
+    level = step / 255 if image.dtype == torch.uint8 else step
     black, luma, gray, of_chroma, _ = _codes(layout, color_range, torch.uint8)
-
-    def coded(k: int) -> Tensor:
-        first, second, third = _ycc_of_rgb(matrix)[k]
-        plane = rgb[:, 0] * first + rgb[:, 1] * second + rgb[:, 2] * third
-        return plane * (of_chroma if k else luma) + (gray if k else black)
-
-    def stored(codes: Tensor) -> Tensor:
-        if layout == "p010":
-            return ((codes / 64).round().clamp(0, 1023) * 64).to(torch.int32).to(torch.uint16)
-        return saturate_to_byte(codes) if dtype == torch.uint8 else (codes / 255).to(dtype)
-
-    along_x, along_y = _axes_of(number)
-    y, u, v = coded(0), coded(1), coded(2)
-    u, v = (_subsampled(c, 2, along_x) for c in (u, v))
-    if not packed:
-        u, v = (_subsampled(c, 1, along_y) for c in (u, v))
-    if layout == "nv21":
-        u, v = v, u
-    y, u, v = stored(y), stored(u), stored(v)
-    result: Any
+    if layout == "p010":
+        black, luma, gray, of_chroma = (value / 64 for value in (black, luma, gray, of_chroma))
+    widths = (luma, of_chroma, of_chroma)
+    weights = [w * width * level for row, width in zip(_ycc_of_rgb(matrix), widths) for w in row]
+    offsets = [black * step, gray * step, gray * step]
+    codes = _coded_frames(rgb, [_LAYOUTS.index(layout), int(is_integer), number], [*weights, *offsets])
+    codes = codes if codes.dtype == dtype else codes.to(dtype)
+    if image.dim() == 3:
+        codes = codes[0]
+    lead, half = codes.shape[:-1], ((height + 1) // 2, (width + 1) // 2)
     if packed:
-        result = torch.stack([y, torch.stack([u, v], 3).flatten(2)], 3)
-    elif layout == "i420":
-        result = (y[:, None], u[:, None], v[:, None])
-        if not split:
-            result = torch.cat([c.flatten(1) for c in (y, u, v)], 1).unflatten(1, (height * 3 // 2, width))
-    else:
-        uv = torch.stack([u, v], 3)
-        result = (y[:, None], uv) if split else torch.cat([y, uv.flatten(2)], 1)
-    if image.dim() == 4:
-        return result
-    return tuple(part[0] for part in result) if isinstance(result, tuple) else result[0]
+        return codes.reshape(*lead, height, width, 2)
+    if not split:
+        return codes.reshape(*lead, height + half[0], width)
+    y, chroma_codes = codes.split([height * width, 2 * half[0] * half[1]], -1)
+    y = y.reshape(*lead, 1, height, width)
+    if layout != "i420":
+        return y, chroma_codes.reshape(*lead, *half, 2)
+    u, v = chroma_codes.reshape(*lead, 2, 1, *half).unbind(-4)
+    return y, u, v

@@ -12,6 +12,7 @@ from torch import Tensor, nn
 from kvision import _check
 from kvision._leading import apply_on_batch
 from kvision._torch_compat import ConstantModule
+from kvision.color.frames import PLAINLY, Frames, affine_of
 from kvision.color.program import LAYOUTS, MAX_STEPS, arguments, run
 from kvision.color.steps import STEPS
 from kvision.core.exceptions import ImageError, ShapeError, TypeCheckError, ValueCheckError
@@ -137,7 +138,7 @@ class ColorProgram(ConstantModule):
 
     def forward(
         self,
-        image: Tensor,
+        image: Tensor | Frames,
         parameters: Mapping[str | int, Value | Sequence[Value]] | None = None,
         order: Tensor | None = None,
         enabled: Tensor | None = None,
@@ -145,7 +146,9 @@ class ColorProgram(ConstantModule):
         """Run the program.
 
         Args:
-            image: RGB images (*, 3, H, W), floating point in [0, 1], or uint8, whose levels are 255ths.
+            image: RGB images (*, 3, H, W), floating point in [0, 1], or uint8, whose levels are 255ths. Of
+                :class:`kvision.color.Frames` the steps get colors that are not rounded; a program that normalizes, and does
+                nothing else, is part of the launch that reads the planes.
             parameters: other parameters for this call, by the name of a step or its position: a value, or for steps of
                 several a tuple of them.
             order: (S,) or (B, S), int64: which step comes at each position, -1 for none; default: as they were given.
@@ -160,17 +163,30 @@ class ColorProgram(ConstantModule):
             ShapeError: no pixels; parameters, order or enabled that do not fit the image or the steps.
             DeviceError: the tensors are on different devices; parameters in CPU memory are moved.
         """
+        dtype, args = self.dtype, self._arguments
+        if isinstance(image, Frames):
+            dtype = dtype or image.dtype
+            plain = args is not None and not parameters and order is None and enabled is None and self._layout < 0
+            affine = affine_of(self._program, args.columns, args.numbers) if plain and args is not None else None
+            rgb = (
+                image._read(None, None, PLAINLY, *affine, dtype)
+                if affine
+                else image._read(None, None, dtype=image.computed)
+            )
+            rgb = rgb[0] if image.is_single else rgb
+            if affine is not None:
+                return rgb
+            image = rgb
         _check.channels("ColorProgram", "image", image, 3, ImageError)
         if not image.is_floating_point() and image.dtype != torch.uint8:
             raise TypeCheckError(f"ColorProgram: expected image to be floating point or uint8, got {image.dtype}")
         if 0 in image.shape[-2:]:
             raise ShapeError(f"ColorProgram: expected image with H, W of at least 1, got {tuple(image.shape)}")
-        args = self._arguments
         if parameters or args is None:
             args = arguments(self._all_slots(parameters or {}, image))
         if order is not None or enabled is not None:
             order = _order(order, enabled, len(self._program), image)
-        return apply_on_batch(run, image, self._program, args, order, self.dtype, self._layout)
+        return apply_on_batch(run, image, self._program, args, order, dtype, self._layout)
 
     def _all_slots(self, parameters: Mapping[str | int, Any], image: Tensor) -> list[float | Tensor]:
         """The parameters of the program: numbers, or tensors (B or 1, 1, P) that fit the image."""

@@ -6,15 +6,10 @@
 // is rounded to whole pixels. A negative scale mirrors the result.
 #pragma once
 
+#include "core/window.h"
 #include "geometry/transform/resize/resize.h"
 
 namespace kv::geometry {
-
-// The window along one axis.
-struct Window {
-  int first, size;
-  bool mirrored;
-};
 
 template <class T>
 struct ResizeWindows {
@@ -43,24 +38,10 @@ struct ResizeWindows {
 
 KV_KERNEL(resize_windows, ResizeWindows)
 
-// The nearest whole number in [low, high]; `low` for NaN.
-KV_HD int round_within(double x, int low, int high) { return x > double(low) ? int(min(x, double(high)) + 0.5) : low; }
-
 template <class T>
 KV_HD Window ResizeWindows<T>::window(int64_t sample, int axis) const {
   Compute<T> const* const m = matrices + sample * matrix_stride;
-  double const scale = double(m[4 * axis]), offset = double(m[3 * axis + 2]), length = scale < 0 ? -scale : scale;
-  int const to = result(axis), from = source(axis);
-  bool const mirrored = scale < 0;
-  Window window{0, 1, mirrored};
-  if (align_corners) {  // the centers of the outermost pixels correspond; a single pixel of the result has one tap
-    window.first = round_within(((mirrored ? to - 1 : 0) - offset) / scale, 0, from - 1);
-    if (to > 1) window.size = 1 + round_within((to - 1) / length, 0, from - 1 - window.first);
-  } else {
-    window.first = round_within(((mirrored ? to - 0.5 : -0.5) - offset) / scale + 0.5, 0, from - 1);
-    window.size = round_within(to / length, 1, from - window.first);
-  }
-  return window;
+  return window_of(double(m[4 * axis]), double(m[3 * axis + 2]), source(axis), result(axis), align_corners);
 }
 
 }  // namespace kv::geometry

@@ -33,6 +33,7 @@ from kvision.augmentation.samples import (
     with_matrix,
     without_added_axes,
 )
+from kvision.color.frames import Frames
 from kvision.core.exceptions import ShapeError
 
 __all__ = [
@@ -75,7 +76,7 @@ class AugmentationBase(Executor, keeps_contract=True):
 
     def forward(
         self,
-        input: Tensor | tuple[Tensor, Tensor],
+        input: Tensor | tuple[Tensor, Tensor] | Frames,
         params: Params | None = None,
         *,
         seed: Seed = None,
@@ -88,7 +89,8 @@ class AugmentationBase(Executor, keeps_contract=True):
         Args:
             input: images (B, C, H, W), (C, H, W) or (H, W) of a floating-point type or uint8; volumes have one more axis. A
                 pair of images and matrices (B, 3, 3) passes the matrices on, as chains with `return_transform` do. Images
-                (C, H, W) of different sizes are a list.
+                (C, H, W) of different sizes are a list. Of :class:`kvision.color.Frames` their images; containers read the
+                planes.
             params: parameters of an earlier call, its `_params`, to repeat it on these images.
             seed: an int, or int64 (B,) with one of a sample, from which all parameters follow; torch's generator is not used.
             generator: draws the key of this call; default: that of the constructor, or torch's.
@@ -105,7 +107,7 @@ class AugmentationBase(Executor, keeps_contract=True):
                 tensor and of matrices.
             ValueError: `input` has another number of axes; matrices have another shape.
         """
-        given, before = image_and_matrix(self, input)
+        given, before = image_and_matrix(self, input.rgb() if isinstance(input, Frames) else input)
         if isinstance(given, list):
             return self._call_on_list(given, params, seed, generator, return_transform, kwargs)
         image = plain_image(self, given)

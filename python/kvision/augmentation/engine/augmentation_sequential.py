@@ -43,6 +43,7 @@ from kvision.augmentation.inputs import (
 from kvision.augmentation.keys import Seed
 from kvision.augmentation.samples import inverse_at
 from kvision.augmentation.tv_samples import Sample, as_given, as_tensors, holds_tv_tensors, sample_of
+from kvision.color.frames import Frames
 from kvision.constants import AnyDataKey, DataKey, DataKeys, Resample
 from kvision.core.exceptions import BaseError, ValueCheckError
 from kvision.geometry.transform.lists.arguments import largest_shape
@@ -190,7 +191,8 @@ class AugmentationSequential(ImageSequential):
         else passes through; a tensor that does although its size or name is like that of data is warned about once.
 
         Args:
-            *args: images and labels in the order of the data keys; or one dict. Images (C, H, W) of different sizes are a list,
+            *args: images and labels in the order of the data keys; or one dict. The first image may be
+                :class:`kvision.color.Frames`. Images (C, H, W) of different sizes are a list,
                 with lists of labels, one of each image: masks (N, H, W) and boxes (N, 4), where N may be 0. The first image may
                 be a tuple of it and matrices (B, 3, 3), which are passed on, as chains with `return_transform` do. Images of
                 NumPy and PIL and files become floating point in [0, 1]; masks of NumPy and PIL, also those with a palette, keep
@@ -224,6 +226,9 @@ class AugmentationSequential(ImageSequential):
         if given is not None:
             keys, values = as_tensors(self, keys, values, entries is not None)
         image = keys.index(DataKey.INPUT) if DataKey.INPUT in keys else None
+        source = values[image] if image is not None and isinstance(values[image], Frames) else None
+        if source is not None and image is not None:
+            values[image] = source._like()
         for value in values:
             if not isinstance(value, Tensor):
                 before = self._convert(keys, values, image)
@@ -233,7 +238,7 @@ class AugmentationSequential(ImageSequential):
             values[image] = self.transform_tensor(values[image])
             outputs, record = self._call_list(keys, values, params, seed, generator)
         else:
-            outputs, record = self._call(keys, values, params, seed, generator, before)
+            outputs, record = self._call(keys, values, params, seed, generator, before, source)
         self._keep(record)
         if given is not None:
             outputs = as_given(outputs, given, keys)
@@ -293,6 +298,7 @@ class AugmentationSequential(ImageSequential):
         seed: Seed,
         generator: Generator | None,
         before: Tensor | None,
+        source: Frames | None = None,
     ) -> tuple[list[Any], Record]:
         """The results of a call, and its record."""
         if DataKey.INPUT not in keys:
@@ -313,7 +319,8 @@ class AugmentationSequential(ImageSequential):
             shape = tuple(x.shape) if isinstance(x, Tensor) else largest_shape(x)
             call_labels = CallLabels(keys, inputs, self._label_settings, shape, not isinstance(x, Tensor))
         time = 0 if videos is None else videos.sizes[1]
-        y, record = self._execute(x, params, self._context(seed, generator, time, len(keys) > 1, call_labels))
+        context = self._context(seed, generator, time, len(keys) > 1, call_labels, source)
+        y, record = self._execute(x, params, context)
         record.size, record.videos = tuple(y.shape[2:]), videos
         if len(keys) > 1:
             record.labels = LabelRecord(self._label_settings, record.shape, record.size)

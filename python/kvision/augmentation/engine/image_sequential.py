@@ -43,7 +43,7 @@ from kvision.augmentation.engine.list_calls import (
 )
 from kvision.augmentation.engine.lists import list_plan
 from kvision.augmentation.engine.record import Child, ParamItem, Record, child_of, item_of
-from kvision.augmentation.engine.runs import CallContext, execute
+from kvision.augmentation.engine.runs import CallContext, execute, images_of
 from kvision.augmentation.engine.stages import (
     KNOWN,
     LabelSettings,
@@ -74,6 +74,7 @@ from kvision.augmentation.samples import (
     without_added_axes,
 )
 from kvision.augmentation.warp_and_color import SAME, Output, Resampling
+from kvision.color.frames import Frames
 from kvision.constants import DataKey
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 from kvision.geometry.transform.lists.arguments import check_list, largest_shape
@@ -332,6 +333,11 @@ class ImageSequential(ImageSequentialBase):
         return list_plan(next(iter(self._modules.values()))) is not None
 
     @property
+    def _reads_frames(self) -> bool:
+        """Whether frames of video are handed to the children."""
+        return type(self)._execute is ImageSequential._execute
+
+    @property
     def _draws_choices(self) -> bool:
         """Whether the container draws by itself, beside its children."""
         return self.random_apply is not None
@@ -462,7 +468,10 @@ class ImageSequential(ImageSequentialBase):
         """Run the children on images (B, C, H, W); gives the images and what the call did."""
         in_turns = self._in_turns(x, params, context)
         if in_turns is not None:
-            y, stages, children = execute_turns(x, *in_turns)
+            turns, own = in_turns
+            if own.source is not None:
+                x, own = images_of(own.source), own._replace(source=None)
+            y, stages, children = execute_turns(x, turns, own)
         else:
             children = self._children_of_call(params, context)
             y, stages = execute(x, children, context)
@@ -519,10 +528,17 @@ class ImageSequential(ImageSequentialBase):
         return SAME if is_same else Output(self.output_dtype, self.memory_format)
 
     def _context(
-        self, seed: Seed, generator: Generator | None, time: int = 0, has_labels: bool = False, labels: Any = None
+        self,
+        seed: Seed,
+        generator: Generator | None,
+        time: int = 0,
+        has_labels: bool = False,
+        labels: Any = None,
+        source: Frames | None = None,
     ) -> CallContext:
         op, once, own = type(self).__name__, self.resample == "once", self.generator
-        return CallContext(op, seed, generator, once, self._plans, self._output, 1, 0, time, has_labels, labels, own)
+        context = CallContext(op, seed, generator, once, self._plans, self._output, 1, 0, time, has_labels, labels, own)
+        return context if source is None else context._replace(source=source)
 
     @property
     def _params(self) -> list[ParamItem]:
@@ -547,7 +563,7 @@ class ImageSequential(ImageSequentialBase):
 
     def forward(
         self,
-        input: Tensor | tuple[Tensor, Tensor],
+        input: Tensor | tuple[Tensor, Tensor] | Frames,
         params: Sequence[ParamItem] | None = None,
         extra_args: dict[Any, Any] | None = None,
         *,
@@ -560,7 +576,8 @@ class ImageSequential(ImageSequentialBase):
 
         Args:
             input: images (B, C, H, W), (C, H, W) or (H, W) of a floating-point type or uint8. Images (C, H, W) of different sizes
-                are a list. A tuple of images and matrices (B, 3, 3) passes the matrices on, as chains with `return_transform` do.
+                are a list; :class:`kvision.color.Frames` are read where they are by crops, resizes and warps at the start. A
+                tuple of images and matrices (B, 3, 3) passes the matrices on, as chains with `return_transform` do.
                 Images of NumPy and PIL and files become floating point in [0, 1].
             params: the `_params` of an earlier call, to repeat it on these images.
             extra_args: accepted for code written for Kornia.
@@ -581,6 +598,9 @@ class ImageSequential(ImageSequentialBase):
         """
         if output_type != "pt":
             check_output_type(self, output_type)
+        source = input if isinstance(input, Frames) and self._reads_frames else None
+        if isinstance(input, Frames):
+            input = input.rgb() if source is None else source._like()
         given, before = (input, None) if isinstance(input, Tensor) else image_and_matrix(self, image_of(self, input))
         image = plain_image(self, given)
         x = self.transform_tensor(image)
@@ -589,7 +609,7 @@ class ImageSequential(ImageSequentialBase):
         if isinstance(x, list) and not self._reads_lists:
             (y,), record = self._call_list([DataKey.INPUT], [x], params, seed, generator)
         else:
-            y, record = self._execute(x, params, self._context(seed, generator))
+            y, record = self._execute(x, params, self._context(seed, generator, source=source))
             record.stages.forget()
         self._keep(record)
         y = self._restored(y, image)

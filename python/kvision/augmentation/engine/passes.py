@@ -40,7 +40,7 @@ class Running:
     columns: Tensor | None  # of all
     has_labels: bool  # which follow the images, so that maps are kept for them
     # Of the first step, where a kernel computed it with the draws:
-    result: tuple[Tensor, Tensor] | None = None  # images and matrices of a pass
+    result: tuple[Tensor, Tensor | None] | None = None  # images, and matrices of a pass
     links: Sequence[Tensor] | None = None  # of a composition
 
     def parts(self, numbers: Sequence[int]) -> Sequence[Stage]:
@@ -58,7 +58,9 @@ class Alone(NamedTuple):
     def run(self, x: Tensor, running: Running) -> tuple[Tensor, Stage | None]:
         module, execution = running.modules[self.number], running.executions[self.number]
         execution.keeps_map = running.has_labels
-        return module._run(x, execution, module.flags), Applied(module, execution, module.flags)
+        y = module._run(x, execution, module.flags) if running.result is None else running.result[0]
+        running.result = None
+        return y, Applied(module, execution, module.flags)
 
     def drawn_with(self, draws: DrawPlan, planned: Planned) -> None:
         return None
@@ -80,6 +82,7 @@ class Joined(NamedTuple):
         running.result = None
         if not self.geometric:
             return x, None
+        assert matrix is not None
         if len(self.geometric) == 1:
             module, execution = running.modules[self.geometric[0]], running.executions[self.geometric[0]]
             execution.keep_matrix(matrix)

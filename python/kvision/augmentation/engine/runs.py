@@ -34,14 +34,16 @@ from kvision.augmentation.engine.call_labels import CallLabels
 from kvision.augmentation.engine.configuration import Plans
 from kvision.augmentation.engine.declaration import size_of
 from kvision.augmentation.engine.execution import Execution, Shape, matrix_type
+from kvision.augmentation.engine.frames import frames_pass
 from kvision.augmentation.engine.list_calls import SIZES
 from kvision.augmentation.engine.lists import ListImages, ListWarp, chain_of_list, execute_list
-from kvision.augmentation.engine.passes import Joined, Planned, Running, Step, plan_steps
+from kvision.augmentation.engine.passes import Alone, Joined, Planned, Running, Step, plan_steps
 from kvision.augmentation.engine.record import Child
 from kvision.augmentation.engine.stages import Applied, Chain, Stage
 from kvision.augmentation.keys import Keys, Seed, check_seeds, draw_keys, frame_seeds
 from kvision.augmentation.warp_and_color import SAME, Output, make_pass
 from kvision.augmentation.warp_and_color_list import warp_and_color_list
+from kvision.color.frames import Frames
 from kvision.geometry.transform.lists.arguments import like_batch
 
 
@@ -63,6 +65,7 @@ class CallContext(NamedTuple):
     is_certain: bool = False  # children are executed for all samples, whatever their probabilities say
     # (B,) on the CPU: the number of the only child that a sample gets, of a run which then is certain; None where it gets all.
     owners: Tensor | None = None
+    source: Frames | None = None  # of which the images are, before the first child; these have no values then
 
     @classmethod
     def of_module(cls, op: str, seed: Seed, generator: Generator | None) -> CallContext:
@@ -77,7 +80,8 @@ class CallContext(NamedTuple):
         """For the children of a container that is a child."""
         labels = None if self.labels is None else self.labels.inside(getattr(module, "_label_settings", None))
         own = (self.frames, self.position, self.time, self.has_labels, labels, self.generator_of(module))
-        return CallContext(self.op, self.seed, self.generator, once, plans, output, *own)  # faster than _replace
+        inside = CallContext(self.op, self.seed, self.generator, once, plans, output, *own)  # faster than _replace
+        return inside if self.source is None else inside._replace(source=self.source)
 
     @property
     def seed_of_samples(self) -> Seed:
@@ -107,6 +111,8 @@ def execute(
         return _execute_run(x, children, context, position, plan)
     stages: list[Stage] = []
     runs = _runs(children, context.plans)
+    if context.source is not None and not (runs and _reads_frames(*runs[0])):
+        x, context = images_of(context.source), context._replace(source=None)
     for i, (run, kind) in enumerate(runs):
         own = context if i == len(runs) - 1 or context.output is SAME else context._replace(output=SAME)
         if kind == "joined":
@@ -122,9 +128,40 @@ def execute(
                 x, _ = make_pass(None, output=own.output).run(x, None)
             stages.append(stage)
         position, before = position + len(run) + before, 0
+        if context.source is not None:
+            context = context._replace(source=None)
     if not runs and context.output != SAME:
         x, _ = make_pass(None, output=context.output).run(x, None)
     return x, Chain(stages)
+
+
+def _reads_frames(run: Sequence[Child], kind: str) -> bool:
+    """Whether the first run takes frames of video: augmentations, or a container of such."""
+    return kind == "joined" or (kind == "alone" and getattr(run[0].module, "_reads_frames", False))
+
+
+def _read_frames(
+    frames: Frames,
+    like: Tensor,
+    step: Step,
+    modules: Sequence[Any],
+    executions: Sequence[Execution],
+    columns: Tensor | None,
+) -> tuple[Tensor, Tensor | None] | None:
+    """What the first step makes of frames, where it reads their planes."""
+    if isinstance(step, Joined):
+        return frames_pass(frames, step.image_pass, columns)
+    if isinstance(step, Alone) and hasattr(modules[step.number], "_resize_frames"):
+        module, execution = modules[step.number], executions[step.number]
+        execution.matrix = module._matrix_of(like, execution, module.flags)
+        return module._resize_frames(frames, module.flags), None
+    return None
+
+
+def images_of(frames: Frames) -> Tensor:
+    """The images (B, 3, H, W) that frames are."""
+    rgb = frames.rgb()
+    return rgb[None] if frames.is_single else rgb
 
 
 def _execute_list(
@@ -238,9 +275,10 @@ def _position_inside(position: int) -> int:
 
 def _key(x: Tensor, children: Sequence[Child], context: CallContext, position: int) -> Hashable:
     """The key of the plan of a run: all that it depends on besides the settings of modules."""
-    _, seed, _, once, _, output, frames, _, time, *_, is_certain, owners = context
+    _, seed, _, once, _, output, frames, _, time, *_, is_certain, owners, source = context
     modules = [(id(child.module), child.params is None) for child in children]
-    return (x.shape, x.dtype, position, seed is None, once, output, frames, time, is_certain, owners is None, *modules)
+    own = (x.shape, x.dtype, position, seed is None, once, output, frames, time, is_certain, owners is None)
+    return (*own, *modules) if source is None else ("frames", *own, *modules)
 
 
 def _runs(children: Sequence[Child], plans: Plans) -> list[tuple[Sequence[Child], str]]:
@@ -319,7 +357,7 @@ def _execute_run(
     x: Tensor, run: Sequence[Child], context: CallContext, position: int, plan: _RunPlan | None = None
 ) -> tuple[Tensor, Chain]:
     modules: list[AugmentationBase] = [child.module for child in run]  # type: ignore[misc]  # by _runs
-    result: tuple[Tensor, Tensor] | None = None
+    result: tuple[Tensor, Tensor | None] | None = None
     links: Sequence[Tensor] | None = None
     if run[0].params is not None:
         executions, columns = _replay(x, run)
@@ -332,7 +370,7 @@ def _execute_run(
             keys = _more_keys(None, plan.modules, x, context)
         if keys is not None and keys.seeds is not None:
             check_seeds(context.op, keys, x[:: context.frames].shape[0])
-        if plan.drawn is None or keys is None:
+        if plan.drawn is None or keys is None or (context.source is not None and isinstance(plan.drawn, DrawnPass)):
             columns = _draw(x, plan, keys, context.frames)
             if plan.owners is not None and columns is not None and context.owners is not None:
                 own = (context.owners[:, None] == plan.owners).to(columns.device, non_blocking=True)
@@ -344,6 +382,9 @@ def _execute_run(
             columns = _with_derived(modules, executions, columns, plan, context)
     for child, module, execution in zip(run, modules, executions):
         child.record = module.__dict__["_execution"] = execution  # faster than Module.__setattr__
+    if context.source is not None:
+        result = _read_frames(context.source, x, steps[0], modules, executions, columns) if steps else None
+        x = x if result is not None else images_of(context.source)
     running = Running(modules, executions, columns, context.has_labels, result, links)
     stages: list[Stage] = []
     for step in steps:

@@ -25,6 +25,7 @@ from kvision.augmentation.inputs import (
 )
 from kvision.augmentation.keys import Seed
 from kvision.augmentation.samples import inverse_at
+from kvision.color.frames import Frames
 
 __all__ = ["VideoSequential"]
 
@@ -102,7 +103,7 @@ class VideoSequential(ImageSequential):
 
     def forward(  # a video has one more axis
         self,
-        input: Tensor | tuple[Tensor, Tensor],
+        input: Tensor | tuple[Tensor, Tensor] | Frames,
         params: Sequence[ParamItem] | None = None,
         extra_args: dict[Any, Any] | None = None,
         *,
@@ -114,8 +115,10 @@ class VideoSequential(ImageSequential):
         """Augment videos.
 
         Args:
-            input: videos (B, T, C, H, W), or (B, C, T, H, W) as `data_format` says, of a floating-point type or uint8. A
-                pair of videos and matrices (B T, 3, 3) passes the matrices on, as chains with `return_transform` do.
+            input: videos (B, T, C, H, W), or (B, C, T, H, W) as `data_format` says, of a floating-point type or uint8. One
+                video as :class:`kvision.color.Frames` (T, 3, H, W), which are read where they are by crops, resizes and
+                warps at the start. A pair of videos and matrices (B T, 3, 3) passes the matrices on, as chains with
+                `return_transform` do.
             params: the `_params` of an earlier call, to repeat it on these videos.
             extra_args: accepted for code written for Kornia.
             seed: an int, or int64 (B,) with one of a video, from which all parameters follow.
@@ -131,13 +134,20 @@ class VideoSequential(ImageSequential):
             ValueError: `input` has another number of axes.
         """
         check_output_type(self, output_type)
+        source = input if isinstance(input, Frames) else None
+        if isinstance(input, Frames):
+            like = input._like()
+            video = like[None, None] if input.is_single else like[None]
+            input = video.transpose(1, 2) if self.data_format == "BCTHW" else video
         given, before = image_and_matrix(self, input)
         videos = plain_image(self, given)
         layout = self._layout(videos)
         x = layout.frames(videos)
         if before is not None:
             check_matrix(self, before, x)
-        frames, record = self._execute(x, params, self._of_frames(self._context(seed, generator), layout.sizes[1]))
+        frames, record = self._execute(
+            x, params, self._of_frames(self._context(seed, generator, source=source), layout.sizes[1])
+        )
         record.stages.forget()
         self._keep(record)
         output = self._with_matrix(wrap(layout.videos(frames), given), before, return_transform, record)

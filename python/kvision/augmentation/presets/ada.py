@@ -16,6 +16,7 @@ from kvision.augmentation.draws import Request, uniform
 from kvision.augmentation.engine import AugmentationSequential, ParamItem, Record
 from kvision.augmentation.keys import Seed, draw_keys
 from kvision.augmentation.samples import where_chosen
+from kvision.color.frames import Frames
 from kvision.constants import DataKey, DataKeys
 from kvision.core.exceptions import TypeCheckError, ValueCheckError
 from kvision.core.pixels import to_unit
@@ -156,8 +157,12 @@ class AdaptiveDiscriminatorAugmentation(AugmentationSequential):
         seed: Seed,
         generator: Generator | None,
         before: Tensor | None,
+        source: Frames | None = None,
     ) -> tuple[list[Any], Record]:
         op = type(self).__name__
+        if source is not None:  # the images of samples that are not augmented are results
+            first = keys.index(DataKey.INPUT)
+            inputs = [source.rgb() if i == first else x for i, x in enumerate(inputs)]
         images = next((x for x in inputs if isinstance(x, Tensor)), None)
         if images is None:
             raise TypeCheckError(f"{op}: expected inputs to be Tensors, got {type(inputs[0]).__name__}")

@@ -11,15 +11,18 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._choices import CroppingMode, Interpolation, PaddingOrFill, ResizeInterpolation
+from kvision._dtype import as_dtype, compute_dtype
 from kvision._modes import INTERPOLATION, WARP_FORMULA
 from kvision._modules import FunctionModule
 from kvision._ops import register
 from kvision._torch_compat import in_function_transform, without_transforms
+from kvision.color.frames import Frames
 from kvision.constants import AnyResample, Resample
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 from kvision.geometry._formula import batch_of, register_formula
 from kvision.geometry.transform import sampling
 from kvision.geometry.transform.antialiased.warp_antialiased import check_antialias, warp_antialiased
+from kvision.geometry.transform.frames import check_frames, cropped_frames, reading_of, warped_frames
 from kvision.geometry.transform.lists.arguments import check_list, like_batch, refuse_antialias
 from kvision.geometry.transform.lists.warp_list import warped
 from kvision.geometry.transform.matrices import crop_matrix
@@ -70,7 +73,7 @@ _crop_pixels = register(
 
 
 def crop_and_resize(
-    input_tensor: Tensor | list[Tensor],
+    input_tensor: Tensor | list[Tensor] | Frames,
     boxes: Tensor,
     size: tuple[int, int],
     mode: Interpolation = "bilinear",
@@ -86,7 +89,9 @@ def crop_and_resize(
 
     Args:
         input_tensor: images (B, C, H, W), floating point or uint8. Other integers are computed in float32,
-            but nearest modes keep them. A list of images (C, H, W) may have different sizes.
+            but nearest modes keep them. A list of images (C, H, W) may have different sizes. Of video
+            :class:`~kvision.color.Frames` 'bilinear' and 'nearest' with 'zeros' or 'border' read the planes; other calls, and
+            those with `box_indices` or `antialias`, convert them first.
         boxes: (N, 4, 2), one for each image or all of one image. (1, 4, 2) serves all images.
         size: height and width of the result.
         mode: 'bilinear', 'nearest' or 'bicubic'.
@@ -186,14 +191,23 @@ def crop_by_boxes(
 
 def _crop(op, input_tensor, boxes, first, size, mode, padding_mode, align_corners, box_indices=None, antialias=False):
     """Resample the quadrangles `boxes` to the rectangle of `size` with first pixel `first` (B, 2); None for (0, 0)."""
-    is_list = isinstance(input_tensor, list)
+    is_list, is_video = isinstance(input_tensor, list), isinstance(input_tensor, Frames)
     if is_list:
         input_tensor = check_list(op, "input_tensor", input_tensor)
+    elif is_video:
+        check_frames(op, "input_tensor", input_tensor)
     else:
         _check.images(op, "input_tensor", input_tensor)
     _check.shape(op, "boxes", boxes, "N", 4, 2)
     sampling.check_options(op, mode, padding_mode, align_corners)
     check_antialias(op, antialias, mode)
+    if is_video:
+        reading = reading_of(mode, padding_mode, None, antialias, True)
+        if reading is not None and box_indices is None:
+            corners = as_dtype(boxes, compute_dtype(input_tensor._like()))
+            matrix = crop_matrix(corners, None, float(max(size[1] - 1, 1)), float(max(size[0] - 1, 1)))
+            return warped_frames(op, input_tensor, "boxes", matrix, size, reading)
+        input_tensor = input_tensor.rgb()
     if is_list:
         refuse_antialias(op, antialias)
         if box_indices is not None:
@@ -293,7 +307,7 @@ def crop_by_transform_mat(
 
 
 def center_crop(
-    input_tensor: Tensor | list[Tensor],
+    input_tensor: Tensor | list[Tensor] | Frames,
     size: tuple[int, int],
     mode: Interpolation = "bilinear",
     padding_mode: PaddingOrFill = "zeros",
@@ -305,7 +319,8 @@ def center_crop(
 
     Args:
         input_tensor: images (B, C, H, W), floating point or uint8. Other integers are computed in float32,
-            but 'nearest' and crops at whole pixels keep them. A list of images (C, H, W) may have different sizes.
+            but 'nearest' and crops at whole pixels keep them. A list of images (C, H, W) may have different sizes. Of video
+            :class:`~kvision.color.Frames` crops at whole pixels read the planes; others convert them first.
         size: height and width of the result.
         mode: 'bilinear', 'nearest' or 'bicubic', where the crop lies between pixels.
         padding_mode: 'zeros', 'border' or 'reflection', for sizes larger than the image.
@@ -329,10 +344,17 @@ def center_crop(
     op = "center_crop"
     if isinstance(input_tensor, list):
         input_tensor = check_list(op, "input_tensor", input_tensor)
+    elif isinstance(input_tensor, Frames):
+        check_frames(op, "input_tensor", input_tensor)
     else:
         _check.images(op, "input_tensor", input_tensor)
     h, w = _check.ints("center_crop", "size", size, 2)
     sampling.check_options("center_crop", mode, padding_mode, align_corners)
+    if isinstance(input_tensor, Frames):
+        y, x = (whole - part for whole, part in zip(input_tensor.shape[2:], (h, w)))
+        if y >= 0 and x >= 0 and y % 2 == 0 and x % 2 == 0:
+            return cropped_frames(input_tensor, (y // 2, x // 2), (h, w))
+        input_tensor = input_tensor.rgb()
     if isinstance(input_tensor, list):
         shifts = [((x.shape[2] - w) / 2, (x.shape[1] - h) / 2) for x in input_tensor]
         matrix = torch.tensor([[[1, 0, x], [0, 1, y]] for x, y in shifts], dtype=torch.float64, device="cpu")

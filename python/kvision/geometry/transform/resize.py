@@ -18,8 +18,10 @@ from kvision._modes import BORDER, BORDER_NAMES, INTERPOLATION, INTERPOLATION_NA
 from kvision._modules import FunctionModule
 from kvision._ops import match_layout, register, saturate_to_byte
 from kvision._torch_compat import in_onnx_export, is_tracing, largest, smallest
+from kvision.color.frames import Frames
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 from kvision.filters import gaussian_blur2d
+from kvision.geometry.transform.frames import resized_frames
 from kvision.geometry.transform.lists import arguments as lists
 from kvision.geometry.transform.nearest import as_values, of_values
 
@@ -213,7 +215,7 @@ def resize_each(
 
 
 def resize(
-    input: Tensor | list[Tensor],
+    input: Tensor | list[Tensor] | Frames,
     size: int | tuple[int, int],
     interpolation: ResizeInterpolation = "bilinear",
     align_corners: bool | None = None,
@@ -224,7 +226,8 @@ def resize(
 
     Args:
         input: images (*, H, W), floating point or uint8. Other integers are computed in float32,
-            but nearest modes keep them. A list of images (C, H, W) may have different sizes.
+            but nearest modes keep them. A list of images (C, H, W) may have different sizes. Of video
+            :class:`~kvision.color.Frames` 'bilinear' reads the planes, other modes convert them first.
         size: height and width, or one side; the other side then keeps the aspect ratio, rounded down.
         interpolation: 'bilinear', 'bicubic', 'nearest', 'nearest-exact' (the pixel with the nearest center, in whole
             numbers: OpenCV's INTER_NEAREST_EXACT, Pillow and torch round and may read a neighbor), 'area' (means of
@@ -260,7 +263,8 @@ def resize(
 def _resize(op, input, size, interpolation, align_corners, side, antialias):
     if isinstance(input, list):
         return _resize_list(op, input, size, interpolation, align_corners, side, antialias)
-    h, w = _size_of_images(op, input)
+    is_video = isinstance(input, Frames)
+    h, w = _size_of_images(op, input._like() if is_video else input)
     _check.choice(op, "interpolation", interpolation, INTERPOLATIONS)
     _check.choice(op, "side", side, _SIDES)
     if antialias != "gaussian":
@@ -271,6 +275,10 @@ def _resize(op, input, size, interpolation, align_corners, side, antialias):
         height, width = side_to_size(_check.ints(op, "size", size, 1)[0], h, w, side)
     else:
         height, width = _check.ints(op, "size", size, 2)
+    if is_video:
+        if interpolation == "bilinear" and antialias != "gaussian":
+            return resized_frames(input, (height, width), align_corners or False, antialias)
+        input = input.rgb()
     if not (is_compiling() or is_tracing()) and (height, width) == (h, w) and input.is_floating_point():
         return input.clone()  # graphs of any size would be bound not to have this one
     images = (

@@ -11,6 +11,7 @@ from kvision import _check
 from kvision._choices import Interpolation, Padding, PaddingOrFill
 from kvision._dtype import floats
 from kvision._modes import INTERPOLATION
+from kvision.color.frames import Frames
 from kvision.core.exceptions import ShapeError
 from kvision.geometry._transform_points import transformed
 from kvision.geometry.transform import sampling
@@ -19,6 +20,7 @@ from kvision.geometry.transform.antialiased.warp_antialiased import (
     remap_antialiased,
     warp_antialiased,
 )
+from kvision.geometry.transform.frames import check_frames, reading_of, warped_frames
 from kvision.geometry.transform.lists.arguments import check_list, refuse_antialias
 from kvision.geometry.transform.lists.warp_list import warped
 from kvision.geometry.transform.nearest import as_values, of_values
@@ -29,7 +31,7 @@ _PADDINGS = get_args(Padding)
 
 
 def warp_perspective(
-    src: Tensor | list[Tensor],
+    src: Tensor | list[Tensor] | Frames,
     M: Tensor,
     dsize: tuple[int, int],
     mode: Interpolation = "bilinear",
@@ -45,7 +47,9 @@ def warp_perspective(
 
     Args:
         src: images (B, C, H, W), floating point or uint8. Other integers are computed in float32,
-            but nearest modes keep them. A list of images (C, H, W) may have different sizes.
+            but nearest modes keep them. A list of images (C, H, W) may have different sizes. Of video
+            :class:`~kvision.color.Frames` 'bilinear' and 'nearest' with 'zeros' or 'border' read the planes; others convert
+            them first.
         M: (B, 3, 3), or (1, 3, 3) for all images; one image also serves many matrices. Pixels are (x, y); the center of
             the first one is (0, 0).
         dsize: height and width of the result.
@@ -81,7 +85,7 @@ def warp_perspective(
 
 
 def warp_affine(
-    src: Tensor | list[Tensor],
+    src: Tensor | list[Tensor] | Frames,
     M: Tensor,
     dsize: tuple[int, int],
     mode: Interpolation = "bilinear",
@@ -97,7 +101,9 @@ def warp_affine(
 
     Args:
         src: images (B, C, H, W), floating point or uint8. Other integers are computed in float32,
-            but nearest modes keep them. A list of images (C, H, W) may have different sizes.
+            but nearest modes keep them. A list of images (C, H, W) may have different sizes. Of video
+            :class:`~kvision.color.Frames` 'bilinear' and 'nearest' with 'zeros' or 'border' read the planes; others convert
+            them first.
         M: (B, 2, 3), or (1, 2, 3) for all images; one image also serves many matrices. Pixels are (x, y); the center of
             the first one is (0, 0).
         dsize: height and width of the result.
@@ -133,15 +139,22 @@ def warp_affine(
 
 
 def _warp(op, src, M, rows, dsize, mode, padding_mode, align_corners, fill_value, antialias):
-    is_list = isinstance(src, list)
+    is_list, is_video = isinstance(src, list), isinstance(src, Frames)
     if is_list:
         src = check_list(op, "src", src)
+    elif is_video:
+        check_frames(op, "src", src)
     else:
         _check.images(op, "src", src)
     _check.shape(op, "M", M, "B", rows, 3)
     size = _check.ints(op, "dsize", dsize, 2)
     sampling.check_options(op, mode, padding_mode, align_corners)
     check_antialias(op, antialias, mode)
+    if is_video:
+        reading = reading_of(mode, padding_mode, fill_value, antialias, False)
+        if reading is not None:
+            return warped_frames(op, src, "M", M, size, reading)
+        src = src.rgb()
     if is_list:
         refuse_antialias(op, antialias)
         return warped(op, src, "M", M, list(size), mode, padding_mode, align_corners, fill_value, inverse=True)

@@ -158,7 +158,7 @@ void planes_to_rgb(PlanesToRgb<T> const& p, int64_t begin, int64_t end) {
   };
   for (int64_t r = begin; r < end;) {
     int64_t const frame = r / height, last = min(end, (frame + 1) * height);
-    if (p.kind == FrameMap::boxes) {
+    if (p.kind == FrameMap::boxes || p.kind == FrameMap::windows) {
       BoxRows<T> rows(p, frame);
       for (; r < last; ++r) {
         for (int plane = 0; plane < 3; ++plane) rows.sum(plane, int(r % height), sums + plane * width);
@@ -172,12 +172,12 @@ void planes_to_rgb(PlanesToRgb<T> const& p, int64_t begin, int64_t end) {
     } else {
       double exact[9];
       F inverse[9];
-      invert_up_to_factor(p.map + frame * p.map_stride, exact);
+      invert_up_to_factor(p.map + frame * p.map_stride, p.from_result, exact);
       for (int k = 0; k < 9; ++k) inverse[k] = F(exact[k]);
       for (; r < last; ++r) {
         for (int64_t i = 0; i < width; ++i) {
           Preimage<F> const at(inverse, F(i), F(r % height));
-          PixelWindow<F> const wx = window_at(at.x, p.x.size), wy = window_at(at.y, p.y.size);
+          PixelWindow<F> const wx = p.window_at(at.x, p.x), wy = p.window_at(at.y, p.y);
           F sum[3];
           sum_windows(
               wx, wy, p.x, p.y,

@@ -1,36 +1,17 @@
 // Frames of video on CUDA, in one launch: each code is read from device memory once, by the caches.
 //
 // whole     a thread takes four adjacent pixels of a row; where chroma is interpolated, the frame is a box.
-// boxes     a block takes 32 columns of 32 rows. What these take of the planes, and with which weights, is in shared
-//           memory; of bytes each thread keeps the weights of a small window of its column. Windows that are larger
-//           than the shared memory are computed by each thread for itself.
+// boxes     of codes that are integers are bands (frame_bands.cuh). Of others a block takes 32 columns of 32 rows. What
+//           these take of the planes, and with which weights, is in shared memory. Windows that are larger than that
+//           are computed by each thread for itself.
 // matrices  a thread takes a pixel.
-#include "core/launch.cuh"
-#include "frames.h"
+#include "frame_bands.cuh"
 
 namespace kv::color::cuda {
 namespace {
 
 constexpr int kPixelsPerThread = 4, kThreads = 256, kTile = 32, kWarps = kThreads / 32;
 constexpr int kLargestWindow = 20, kLargestChromaWindow = kLargestWindow / 2 + 2;
-
-// By an or and a subtraction: the conversion instruction has a quarter of their rate.
-template <class S>
-__device__ __forceinline__ auto number_of(S code) {
-  if constexpr (__is_same(S, uint8_t) || __is_same(S, uint16_t))
-    return __uint_as_float(0x4b000000u | uint32_t(code)) - 8388608.f;
-  else
-    return read(code);
-}
-
-template <class S, class T>
-struct Reader {
-  PlanesToRgb<T> const& p;
-  int64_t frame;
-  __device__ __forceinline__ Compute<T> operator()(int plane, int row, int column) const {
-    return Compute<T>(number_of(p.planes[plane].template row<S>(frame, row)[column * p.planes[plane].column_stride]));
-  }
-};
 
 // N codes with a stride, of which the first `count` exist. `words`: they are one aligned word.
 template <int N, class S, class F>
@@ -117,13 +98,13 @@ __global__ void __launch_bounds__(kThreads) run_matrices(__grid_constant__ Plane
   for (int64_t frame = blockIdx.z; frame < p.rgb.count() / 3; frame += gridDim.z) {
     if (threadIdx.x == 0) {
       double exact[9];
-      invert_up_to_factor(p.map + frame * p.map_stride, exact);
+      invert_up_to_factor(p.map + frame * p.map_stride, p.from_result, exact);
       for (int k = 0; k < 9; ++k) inverse[k] = F(exact[k]);
     }
     __syncthreads();
     if (is_pixel) {
       Preimage<F> const at(inverse, F(x), F(y));
-      PixelWindow<F> const wx = window_at(at.x, p.x.size), wy = window_at(at.y, p.y.size);
+      PixelWindow<F> const wx = p.window_at(at.x, p.x), wy = p.window_at(at.y, p.y);
       F sum[3];
       sum_windows(wx, wy, p.x, p.y, Reader<S, T>{p, frame}, sum);
       F const inside = wx.sum() * wy.sum();
@@ -136,7 +117,6 @@ __global__ void __launch_bounds__(kThreads) run_matrices(__grid_constant__ Plane
 }
 
 // What the windows of 32 columns or rows take of a plane: entries [first, first + count) with weights that add up to 1.
-// Small windows are read up to four entries.
 template <class F, int N>
 struct TileWeights {
   int first[kTile], count[kTile];
@@ -148,8 +128,7 @@ struct TileWeights {
     first[i] = begin;
     count[i] = end - begin;
     if (end - begin > N) return false;
-    for (int j = 0; j < N && (j < 4 || j < end - begin); ++j)
-      weights[j][i] = begin + j < end ? weight(begin + j) : F(0);
+    for (int j = 0; j < end - begin; ++j) weights[j][i] = weight(begin + j);
     return true;
   }
 };
@@ -167,116 +146,6 @@ struct TileAxis {
     return luma.set(i, w.first, w.last, [&](int j) { return w.weight(j) * factor; });
   }
 };
-
-// A small window in registers: up to N entries. Those behind its end have no weight, and are its last entry again.
-template <class F, int N>
-struct Taps {
-  F weights[N];
-  int offsets[N];
-
-  template <int M>
-  __device__ __forceinline__ Taps(TileWeights<F, M> const& tile, int i, int stride) {
-    int const first = tile.first[i], count = tile.count[i];
-#pragma unroll
-    for (int j = 0; j < N; ++j) {
-      weights[j] = tile.weights[j][i];
-      offsets[j] = (first + min(j, count - 1)) * stride;
-    }
-  }
-};
-
-// The sums of a plane over small windows. All codes are requested before the first one is used.
-template <class S, class F, int N>
-__device__ __forceinline__ F sum_small(S const* codes, int64_t row_stride, Taps<F, N> const& columns,
-                                       Taps<F, N> const& rows) {
-  S loaded[N][N];
-#pragma unroll
-  for (int r = 0; r < N; ++r) {
-    S const* const from = codes + rows.offsets[r] * row_stride;
-#pragma unroll
-    for (int c = 0; c < N; ++c) loaded[r][c] = from[columns.offsets[c]];
-  }
-  F sum = 0;
-#pragma unroll
-  for (int r = 0; r < N; ++r) {
-    F in_row = 0;
-#pragma unroll
-    for (int c = 0; c < N; ++c) in_row += columns.weights[c] * F(number_of(loaded[r][c]));
-    sum += rows.weights[r] * in_row;
-  }
-  return sum;
-}
-// Of both planes of chroma, which are pairs of bytes.
-template <class F, int N>
-__device__ __forceinline__ void sum_small_pairs(uint8_t const* codes, int64_t row_stride, Taps<F, N> const& columns,
-                                                Taps<F, N> const& rows, F& first, F& second) {
-  uint32_t loaded[N][N];
-#pragma unroll
-  for (int r = 0; r < N; ++r) {
-    uint8_t const* const from = codes + rows.offsets[r] * row_stride;
-#pragma unroll
-    for (int c = 0; c < N; ++c) loaded[r][c] = *reinterpret_cast<uint16_t const*>(from + columns.offsets[c]);
-  }
-  first = second = 0;
-#pragma unroll
-  for (int r = 0; r < N; ++r) {
-    F a = 0, b = 0;
-#pragma unroll
-    for (int c = 0; c < N; ++c) {
-      a += columns.weights[c] * F(number_of(uint8_t(loaded[r][c] & 255)));
-      b += columns.weights[c] * F(number_of(uint8_t(loaded[r][c] >> 8)));
-    }
-    first += rows.weights[r] * a;
-    second += rows.weights[r] * b;
-  }
-}
-
-// The rows of a block's tile, whose windows have at most N x N pixels and M x M samples of chroma.
-template <class S, class T, int N, int M>
-__device__ __forceinline__ void run_tile(PlanesToRgb<T> const& p, TileAxis<Compute<T>> const& columns,
-                                         TileAxis<Compute<T>> const& rows, int64_t frame, int x, int y0, bool pairs) {
-  using F = Compute<T>;
-  int const lane = threadIdx.x % 32, height = min(kTile, int(p.rgb.height) - y0);
-  S const* codes[3];
-#pragma unroll
-  for (int k = 0; k < 3; ++k) codes[k] = p.planes[k].template row<S>(frame, 0);
-  bool const swapped = codes[2] < codes[1];
-  Taps<F, N> const luma(columns.luma, lane, int(p.planes[0].column_stride));
-  Taps<F, M> const chroma(columns.chroma, lane, int(p.planes[1].column_stride));
-  T* to = p.rgb.row(3 * frame, y0) + x;
-  int64_t const plane_size = p.rgb.plane(1) - p.rgb.plane(0);  // the result is dense
-  auto const row = [&](int i) {
-    Taps<F, N> const luma_rows(rows.luma, i, 1);
-    Taps<F, M> const chroma_rows(rows.chroma, i, 1);
-    F u, v;
-    F const y = sum_small(codes[0], p.planes[0].row_stride, luma, luma_rows);
-    if constexpr (sizeof(S) == 1) {
-      if (pairs) {
-        sum_small_pairs(swapped ? codes[2] : codes[1], p.planes[1].row_stride, chroma, chroma_rows, u, v);
-        if (swapped) {
-          F const first = u;
-          u = v;
-          v = first;
-        }
-      }
-    }
-    if (sizeof(S) != 1 || !pairs) {
-      u = sum_small(codes[1], p.planes[1].row_stride, chroma, chroma_rows);
-      v = sum_small(codes[2], p.planes[2].row_stride, chroma, chroma_rows);
-    }
-    T* const at = to + i * p.rgb.row_stride;
-#pragma unroll
-    for (int k = 0; k < 3; ++k) at[k * plane_size] = round_to<T>(p.colors.channel(k, y, u, v, F(1)));
-  };
-  int const warp = threadIdx.x / 32;
-  if (height == kTile) {
-#pragma unroll
-    for (int k = 0; k < kTile / kWarps; ++k) row(warp + k * kWarps);
-  } else {
-#pragma unroll 1
-    for (int i = warp; i < height; i += kWarps) row(i);
-  }
-}
 
 // The sums of one or two planes over the windows of a column and a row of the tile.
 template <class S, int N, int Count, class F>
@@ -308,7 +177,7 @@ __device__ __forceinline__ void sum_planes(CodePlane const* planes, int64_t fram
 }
 
 template <class S, class T>
-__global__ void __launch_bounds__(kThreads, 3) run_boxes(__grid_constant__ PlanesToRgb<T> const p, bool pairs) {
+__global__ void __launch_bounds__(kThreads, 3) run_boxes(__grid_constant__ PlanesToRgb<T> const p) {
   using F = Compute<T>;
   __shared__ TileAxis<F> columns, rows;
   int const lane = threadIdx.x % 32, warp = threadIdx.x / 32;
@@ -322,23 +191,6 @@ __global__ void __launch_bounds__(kThreads, 3) run_boxes(__grid_constant__ Plane
     else if (warp < 4)
       fits = rows.set(lane, box_y.window(min(y0 + lane, height - 1)), p.y, warp == 3);
     fits = __syncthreads_and(fits);
-    if constexpr (__is_same(S, uint8_t) || __is_same(S, uint16_t)) {  // codes that are finite
-      TileAxis<F> const& axis = warp < 2 ? columns : rows;
-      int const num_luma = warp < 4 ? axis.luma.count[lane] : 0, num_chroma = warp < 4 ? axis.chroma.count[lane] : 0;
-      bool const same_stride = p.planes[1].column_stride == p.planes[2].column_stride;
-      if (fits && same_stride && __syncthreads_and(num_luma <= 4 && num_chroma <= 3)) {
-        bool const is_small = __syncthreads_and(num_luma <= 2 && num_chroma <= 2);
-        if (__syncthreads_and(num_luma <= 2 && num_chroma <= 1)) {
-          if (x < width) run_tile<S, T, 2, 1>(p, columns, rows, frame, x, y0, pairs);
-        } else if (is_small) {
-          if (x < width) run_tile<S, T, 2, 2>(p, columns, rows, frame, x, y0, pairs);
-        } else if (x < width) {
-          run_tile<S, T, 4, 3>(p, columns, rows, frame, x, y0, pairs);
-        }
-        __syncthreads();
-        continue;
-      }
-    }
     if (x < width)
       for (int i = warp; i < kTile && y0 + i < height; i += kWarps) {
         F sums[3];
@@ -390,7 +242,11 @@ int run(PlanesToRgb<T> const& p, CUstream_st* stream) {
         whole && p.x.is_halved() && are_pairs(p) && are_words(first, u)};
     run_whole<S, T><<<blocks(32 * N, kWarps), kThreads, 0, stream>>>(p, vectors);
   } else if (p.kind != FrameMap::matrices) {
-    run_boxes<S, T><<<blocks(kTile, kTile), kThreads, 0, stream>>>(p, are_pairs(p));
+    if constexpr (sizeof(Compute<T>) == 4 && (__is_same(S, uint8_t) || __is_same(S, uint16_t))) {
+      BandPlan plan{};
+      if (plan_bands(p, plan)) return launch_bands<S>(p, plan, stream);
+    }
+    run_boxes<S, T><<<blocks(kTile, kTile), kThreads, 0, stream>>>(p);
   } else {
     run_matrices<S, T><<<blocks(32, kWarps), kThreads, 0, stream>>>(p);
   }

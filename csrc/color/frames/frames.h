@@ -9,12 +9,15 @@
 
 #include "core/isa.h"
 #include "core/view.h"
+#include "core/window.h"
 
 namespace kv::color {
 
 // Where chroma is along an axis: as its two pixels (repeated), at the first one, or between them.
 enum class ChromaSite : int { nearest, cosited, between };
-enum class FrameMap : int { whole, boxes, matrices };
+// What is taken of a frame: all of it; boxes; the whole pixels that matrices map to the result; what matrices map
+// there.
+enum class FrameMap : int { whole, boxes, windows, matrices };
 
 // rgb = clamp(matrix (y, u, v) + offset inside + bias, lowest, highest), where `inside` is the sum of the weights.
 template <class F>
@@ -47,6 +50,19 @@ struct FrameAxis {
   KV_HD bool is_halved() const { return chroma_size < size; }
 };
 
+// Where chroma is along x and y, by its number: 0 is nearest, then as color/frames.py lists sitings.
+struct ChromaSites {
+  ChromaSite along[2];
+  KV_HD ChromaSite operator[](int axis) const { return along[axis]; }
+};
+KV_HD ChromaSites chroma_sites(int64_t siting) {
+  constexpr ChromaSites sites[] = {{ChromaSite::nearest, ChromaSite::nearest},
+                                   {ChromaSite::cosited, ChromaSite::between},
+                                   {ChromaSite::between, ChromaSite::between},
+                                   {ChromaSite::cosited, ChromaSite::cosited}};
+  return sites[siting];
+}
+
 // An integer of a position, within [low, high]; low for NaN.
 template <class F>
 KV_HD int whole_within(F x, int low, int high) {
@@ -58,6 +74,15 @@ KV_HD F floor_of(F x) {
     return __builtin_floor(x);
   else
     return __builtin_floorf(x);
+}
+template <class F>
+KV_HD F round_to_even(F x) {
+#if defined(__CUDA_ARCH__)
+  if constexpr (sizeof(F) == 4) return ::rintf(x);
+  return F(::rint(double(x)));
+#else
+  return F(__builtin_rint(double(x)));
+#endif
 }
 template <class F>
 KV_HD F magnitude(F x) {
@@ -73,10 +98,15 @@ struct PixelWindow {
   KV_HD F weight(int j) const {
     return j < first || j >= last ? F(0) : F(1) - magnitude(F(j) + F(0.5) - center) * inverse_support;
   }
+  // The pixels before the center and those behind it are two arithmetic series.
   KV_HD F sum() const {
-    F s = 0;
-    for (int j = first; j < last; ++j) s += weight(j);
-    return s;
+    int const count = last - first;
+    if (count <= 0) return 0;
+    int const before = whole_within(center - F(0.5) - F(first) + F(1), 0, count);
+    F const distance = F(first) + F(0.5) - center;  // of the first pixel
+    F const all = F(count) * (distance + F(count - 1) * F(0.5));
+    F const left = F(before) * (distance + F(before - 1) * F(0.5));
+    return F(count) - (all - 2 * left) * inverse_support;
   }
 
   // The samples of chroma that these pixels take, [first_chroma, last_chroma), and their weights.
@@ -114,6 +144,15 @@ struct BoxAxis {
     low = whole_within(floor_of(start < end ? start : end), 0, size - 1);
     high = whole_within(-floor_of(-top), low + 1, size);
   }
+  // `align_corners`: the centers of the window's outermost pixels are those of the result's.
+  KV_HD BoxAxis(Window const& window, int count, bool align_corners, bool antialias)
+      : low(window.first), high(window.first + window.size) {
+    F const pixel = !align_corners ? F(window.size) / F(count) : count > 1 ? F(window.size - 1) / F(count - 1) : F(1);
+    F const margin = align_corners ? (F(1) - pixel) * F(0.5) : F(0);  // of the window, around what the result takes
+    scale = window.mirrored ? -pixel : pixel;
+    start = window.mirrored ? F(high) - margin : F(low) + margin;
+    support = antialias ? max(F(1), pixel) : F(1);
+  }
   KV_HD PixelWindow<F> window(int i) const {
     F const middle = start + (F(i) + F(0.5)) * scale, least = F(low) + F(0.5), most = F(high) - F(0.5);
     F const center = middle < least ? least : middle > most ? most : middle;
@@ -124,28 +163,6 @@ struct BoxAxis {
   KV_HD int largest_window(int size) const { return whole_within(support * 2 + F(2), 1, size); }
 };
 
-template <class T>
-struct PlanesToRgb {
-  CodePlane planes[3];  // y, u, v
-  int code_bytes;       // 1 and 2: unsigned integers; 0: codes are stored as T
-  FrameAxis x, y;
-  Planes<T> rgb;  // three planes a frame
-  FrameMap kind;
-  Compute<T> const* map;  // 4 edges (x1, y1, x2, y2) or 9 entries for each result; null: the box is the frame
-  int64_t map_stride;     // 0: one for all
-  bool antialias;
-  FrameColors<Compute<T>> colors;
-
-  KV_HD BoxAxis<Compute<T>> box_axis(int64_t frame, bool is_y) const {
-    FrameAxis const& axis = is_y ? y : x;
-    Compute<T> const* const box = map ? map + frame * map_stride : nullptr;
-    return {box ? box[is_y] : 0, box ? box[2 + is_y] : Compute<T>(axis.size), int(is_y ? rgb.height : rgb.width),
-            axis.size, antialias};
-  }
-};
-
-KV_KERNEL(planes_to_rgb, PlanesToRgb)
-
 // The pixels around a position, where pixel j is at j: those of the frame.
 template <class F>
 KV_HD PixelWindow<F> window_at(F position, int size) {
@@ -153,6 +170,42 @@ KV_HD PixelWindow<F> window_at(F position, int size) {
   int const first = whole_within(floor, -2, size);
   return {position + F(0.5), F(1), max(first, 0), min(first + (position > floor ? 2 : 1), size)};
 }
+
+template <class T>
+struct PlanesToRgb {
+  CodePlane planes[3];  // y, u, v
+  int code_bytes;       // 1 and 2: unsigned integers; 0: codes are stored as T
+  FrameAxis x, y;
+  Planes<T> rgb;  // three planes a frame
+  FrameMap kind;
+  Compute<T> const* map;          // 4 edges (x1, y1, x2, y2) or 9 entries for each result; null: the box is the frame
+  int64_t map_stride;             // 0: one for all
+  bool antialias, align_corners;  // the latter of windows
+  // Of matrices: they are from pixels of the result to those of the frame; the nearest pixel is taken; the border
+  // continues outside.
+  bool from_result, nearest, border;
+  FrameColors<Compute<T>> colors;
+
+  KV_HD BoxAxis<Compute<T>> box_axis(int64_t frame, bool is_y) const {
+    FrameAxis const& axis = is_y ? y : x;
+    Compute<T> const* const m = map ? map + frame * map_stride : nullptr;
+    int const count = int(is_y ? rgb.height : rgb.width);
+    if (kind == FrameMap::windows) {
+      Window const window = window_of(double(m[4 * is_y]), double(m[3 * is_y + 2]), axis.size, count, align_corners);
+      return {window, count, align_corners, antialias};
+    }
+    return {m ? m[is_y] : 0, m ? m[2 + is_y] : Compute<T>(axis.size), count, axis.size, antialias};
+  }
+  // The pixels around a position, where pixel j is at j: those of the frame.
+  KV_HD PixelWindow<Compute<T>> window_at(Compute<T> position, FrameAxis const& axis) const {
+    using F = Compute<T>;
+    if (nearest) position = round_to_even(position);
+    if (border) position = position < F(0) ? F(0) : position > F(axis.size - 1) ? F(axis.size - 1) : position;
+    return color::window_at(position, axis.size);
+  }
+};
+
+KV_KERNEL(planes_to_rgb, PlanesToRgb)
 
 // The position in the frame of pixel (x, y) of the result.
 template <class F>
@@ -165,9 +218,13 @@ struct Preimage {
     y = (inverse[3] * column + inverse[4] * row + inverse[5]) / z;
   }
 };
-// The adjugate of a matrix, all NaN if it has no inverse.
+// The adjugate of a matrix, all NaN if it has no inverse; or the matrix as it is.
 template <class F, class M>
-KV_HD void invert_up_to_factor(M const* m, F* inverse) {
+KV_HD void invert_up_to_factor(M const* m, bool is_inverse, F* inverse) {
+  if (is_inverse) {
+    for (int i = 0; i < 9; ++i) inverse[i] = F(m[i]);
+    return;
+  }
   for (int i = 0; i < 3; ++i)
     for (int k = 0; k < 3; ++k) {
       int const r = (k + 1) % 3, s = (k + 2) % 3, c = (i + 1) % 3, d = (i + 2) % 3;

@@ -21,7 +21,7 @@ FrameAxis frame_axis(int64_t size, int64_t chroma_size, ChromaSite site) {
 Tensor planes_to_rgb(Tensor const& y, Tensor const& u, Tensor const& v, std::optional<Tensor> const& map,
                      std::vector<int64_t> plan, std::vector<double> numbers) {
   char const* const op = kPlanesToRgb;
-  KV_CHECK(plan.size() == 5 && numbers.size() == 21, op, ": expected a plan of 5 and 21 numbers");
+  KV_CHECK(plan.size() == 8 && numbers.size() == 21, op, ": expected a plan of 8 and 21 numbers");
   KV_CHECK(y.dim() == 3 && u.dim() == 3 && v.dim() == 3 && y.numel() > 0 && u.numel() > 0 && v.numel() > 0, op,
            ": expected planes of three axes with at least one pixel");
   bool const is_whole = plan[0] == 0 && plan[1] == 0;
@@ -53,18 +53,13 @@ Tensor planes_to_rgb(Tensor const& y, Tensor const& u, Tensor const& v, std::opt
     KV_CHECK(rows_of(*map, frames) > 0 && map->device() == y.device() &&
                  map->scalar_type() == (type == ScalarType::Double ? ScalarType::Double : ScalarType::Float),
              op, ": expected a box or a matrix for each frame, in the type that computes");
-    kind = is_box ? FrameMap::boxes : FrameMap::matrices;
+    kind = is_box ? FrameMap::boxes : plan[4] != 0 ? FrameMap::windows : FrameMap::matrices;
   } else if (height != y.size(1) || width != y.size(2)) {
     kind = FrameMap::boxes;
   }
 
-  using Sites = ChromaSite[2];  // along x and y
-  constexpr Sites kSites[] = {{ChromaSite::nearest, ChromaSite::nearest},
-                              {ChromaSite::cosited, ChromaSite::between},
-                              {ChromaSite::between, ChromaSite::between},
-                              {ChromaSite::cosited, ChromaSite::cosited}};
-  FrameAxis const x_axis = frame_axis(y.size(2), u.size(2), kSites[siting][0]),
-                  y_axis = frame_axis(y.size(1), u.size(1), kSites[siting][1]);
+  FrameAxis const x_axis = frame_axis(y.size(2), u.size(2), chroma_sites(siting)[0]),
+                  y_axis = frame_axis(y.size(1), u.size(1), chroma_sites(siting)[1]);
   Tensor const rgb = empty({frames, 3, height, width}, y, Layout::planar, type);
   std::optional<Tensor> const maps = map ? std::optional(dense(*map)) : std::nullopt;
 
@@ -83,6 +78,10 @@ Tensor planes_to_rgb(Tensor const& y, Tensor const& u, Tensor const& v, std::opt
     p.kind = kind;
     if (maps) p.map = data_ptr<F const>(*maps), p.map_stride = maps->size(0) == 1 ? 0 : kind == FrameMap::boxes ? 4 : 9;
     p.antialias = plan[4] != 0;
+    p.align_corners = plan[4] == 2;
+    p.from_result = plan[5] != 0;
+    p.nearest = plan[6] != 0;
+    p.border = plan[7] != 0;
     auto number = numbers.begin();
     for (F* part : {p.colors.matrix, p.colors.matrix + 3, p.colors.matrix + 6, p.colors.offset, p.colors.bias,
                     p.colors.lowest, p.colors.highest})

@@ -11,6 +11,7 @@ MAX_LINKS = 8  # kMaxLinks in csrc/geometry/transform/composed/composed_warp.h
 MAX_SHRINK = 32  # kMaxShrink in csrc/geometry/transform/antialiased/warp_antialiased.h
 MAX_REACH = 48  # kMaxReach in csrc/geometry/transform/antialiased/warp_antialiased.h
 MAX_SLOPE = 1e4  # kMaxSlope in csrc/geometry/transform/antialiased/warp_antialiased.h
+MAX_BUNDLE_CAMERAS = 200  # kMaxBundleCameras in csrc/geometry/optim/fit_bundle.h
 MAX_PYRAMID_LEVELS = 16  # kMaxLevels in csrc/feature/patches.h
 MAX_OCTAVES = 16  # kMaxOctaves in csrc/feature/scale_space/scale_space_peaks.h
 MAX_SCALES = 32  # kMaxScales in csrc/feature/scale_space/hessian.h

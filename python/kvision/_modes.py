@@ -51,6 +51,18 @@ PHOTOMETRIC_DISTANCE_NAMES = tuple(PHOTOMETRIC_DISTANCE)
 # PointMapKind in csrc/geometry/transform_points_op.cpp
 POINT_MAP = {"transform": 0, "project": 1, "unproject": 2, "unproject_distance": 3, "intersect": 4}
 POINT_MAP_NAMES = tuple(POINT_MAP)
+# RobustLoss in csrc/geometry/optim/robust_losses.h
+ROBUST_LOSS = {
+    "linear": 0,
+    "huber": 1,
+    "soft_l1": 2,
+    "cauchy": 3,
+    "arctan": 4,
+    "geman_mcclure": 5,
+    "welsch": 6,
+    "tukey": 7,
+}
+ROBUST_LOSS_NAMES = tuple(ROBUST_LOSS)
 # Model in csrc/geometry/solvers/minimal.h
 MODEL = {"affine": 0, "homography": 1, "lines": 2, "fundamental": 3, "fundamental8": 4, "essential": 5}
 MODEL_NAMES = tuple(MODEL)

@@ -135,6 +135,8 @@ class Operator:
             read it.
         gradients: the operators that give the gradients to the arguments, in the words of _gradients.py, from which
             the C++ interface is generated, too. Default: `backward`.
+        jvp: `jvp(tangents, *args) -> tangent of the result`, where it is less work than the default, which differentiates the
+            derivative of the reference. Tangents are None or tensors, one for each tensor argument.
         backward: gradients that are no single call, as a function `backward(needs, grads..., *args) -> gradients of the
             tensor arguments`, in order, written with registered operators, so that it can itself be differentiated;
             `needs[i]` tells whether the i-th is wanted, and None stands for one that is not. Default: the reference is
@@ -174,6 +176,7 @@ class Operator:
         layout_of: int = 0,
         gradients: str = "",
         backward: Callable[..., Sequence[Tensor | None]] | None = None,
+        jvp: Callable[..., Tensor] | None = None,
         saves_results: bool = False,
         non_differentiable: Sequence[int] = (),
         linear: bool = False,
@@ -198,6 +201,7 @@ class Operator:
         self._through_floats = through_floats(self, levels, non_differentiable)
         self.words = gradients
         self.by_hand = backward
+        self.jvp = jvp
         self.saves_results = saves_results or "result" in gradients
         self.non_differentiable = non_differentiable
         self.linear = linear
@@ -485,6 +489,8 @@ class Operator:
         if self._is_linear_map(tensors):
             return self(tangents[0], *tensors[1:], *ctx.plain)
         args = (*tensors, *ctx.plain)
+        if self.jvp is not None:
+            return self.jvp(tangents[: self.tensors], *args)
         indices = [i for i, t in enumerate(tangents) if t is not None]
         f = self._reference_of_tensors(args, indices, self.non_differentiable)
         _, jvp_fn = linearize(f, *(args[i] for i in indices))

@@ -110,6 +110,15 @@ inline constexpr Operator<"triangulate",
                           Tensor(Tensor points1, Tensor points2, Tensor projections1, Tensor projections2)>
     triangulate{Rule{detail::triangulate_gradients}};
 
+// --- geometry/optim/fit_bundle_op.cpp
+
+inline constexpr Operator<"fit_bundle",
+                          Five(Tensor poses, Tensor points, Tensor pixels, Tensor camera, Tensor camera_index,
+                               Tensor point_index, Tensor by_camera, Tensor camera_offsets, Tensor point_offsets,
+                               OptionalTensor weights, int64_t loss, double scale, int64_t max_iterations, double ftol,
+                               double xtol, double gtol)>
+    fit_bundle{non_differentiable};
+
 // --- geometry/optim/fit_poses_op.cpp
 
 inline constexpr Operator<"fit_poses",

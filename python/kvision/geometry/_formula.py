@@ -7,7 +7,7 @@ references.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
@@ -38,6 +38,20 @@ def register_formula(name: str, reference: Callable[..., Tensor], result: Callab
         grads = [next(of_tensors) if isinstance(x, Tensor) else None for x in args]
         return [g if need else None for need, g in zip(needs, grads)]
 
+    def jvp(tangents: Sequence[Tensor | None], *args: Any) -> Tensor:
+        batch, sizes = batch_of(*args), result(*args)
+        count = math.prod(sizes)
+        repeated = [x.repeat_interleave(count, 0) if isinstance(x, Tensor) and len(x) != 1 else x for x in args]
+        first = next(x for x in args if isinstance(x, Tensor))
+        rows = torch.eye(count, dtype=first.dtype, device=first.device).repeat(batch, 1)
+        jacobian = backward_op(rows.reshape(-1, *sizes), *repeated).unflatten(0, (batch, count))
+        widths = [math.prod(x.shape[1:]) for x in args if isinstance(x, Tensor)]
+        each = zip(
+            [t for t, x in zip(tangents, args) if isinstance(x, Tensor)], jacobian.split_with_sizes(widths, 2), widths
+        )
+        parts = [part @ t.reshape(t.shape[0], n, 1) for t, part, n in each if t is not None]
+        return sum(parts[1:], parts[0]).reshape(batch, *sizes)
+
     def backward_reference(grad: Tensor, *args: Any) -> Tensor:
         where = [i for i, x in enumerate(args) if isinstance(x, Tensor)]
 
@@ -57,7 +71,7 @@ def register_formula(name: str, reference: Callable[..., Tensor], result: Callab
         fake=lambda grad, *args: (grad.shape[0], sum(math.prod(x.shape[1:]) for x in args if isinstance(x, Tensor))),
     )
     FORMULAS.add(name)
-    return register(name, reference, fake=lambda *args: (batch_of(*args), *result(*args)), backward=backward)
+    return register(name, reference, fake=lambda *args: (batch_of(*args), *result(*args)), backward=backward, jvp=jvp)
 
 
 def batch_of(*args: Any) -> int:

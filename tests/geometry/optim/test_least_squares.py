@@ -10,6 +10,7 @@ from torch import Tensor
 
 from kvision.geometry.liegroup import Se3, Sim3, So3
 from kvision.geometry.optim import LeastSquaresResult, ReprojectionError, least_squares
+from kvision.geometry.optim._variables import moving, retracted, tensors_of
 
 F64 = torch.float64
 
@@ -44,6 +45,19 @@ def test_alignment_on_groups(group: Any, method: str, dtype: torch.dtype, device
     torch.testing.assert_close(fit.variables["x"].matrix(), truth.matrix(), rtol=tolerance, atol=tolerance)
     assert fit.converged.all() and (fit.iterations < 20).all() and fit.cost.dtype == dtype
     assert not any(p.requires_grad for p in fit.variables["x"].parameters())
+
+
+@pytest.mark.parametrize("group", [So3, Se3, Sim3])
+def test_derivatives_of_steps(group: Any, device: torch.device) -> None:
+    """The closed form is the derivative of exp(d) x at d = 0, along each direction."""
+    x = motion(group, 2, 5).to(device)
+    steps = torch.eye({So3: 3, Se3: 6, Sim3: 7}[group], dtype=F64, device=device)[:, None, None].expand(-1, 2, 5, -1)
+    found = moving(x, steps)
+    zeros = torch.zeros_like(steps[0])
+    for i, step in enumerate(steps):
+        expected = torch.func.jvp(lambda d: tensors_of(retracted(x, d)), (zeros,), (step,))[1]
+        for a, b in zip(found, expected, strict=True):
+            torch.testing.assert_close(a[i], b)
 
 
 def bundle(device: torch.device, views: int = 4, points: int = 15) -> tuple[Any, dict[str, Any], dict[str, Tensor]]:

@@ -11,7 +11,7 @@ from torch import Tensor
 from kvision.core.exceptions import ShapeError
 from kvision.geometry.optim._losses import Loss, with_derivatives
 from kvision.geometry.optim._normal_equations import Hessian, Slope
-from kvision.geometry.optim._variables import Layout, Reference, Variables, tensors_of
+from kvision.geometry.optim._variables import Layout, Reference, Variables, tensors_of, value_like
 from kvision.geometry.optim.group_products import Groups
 
 Residuals = Callable[[Variables], Tensor]
@@ -75,18 +75,19 @@ class Problem:
             r = self._checked(r, seen)
             J = {name: self._checked_jacobian(name, parts[name], r) for name in seen}
         else:
-            r = self.blocks(seen)
-            zeros = self.layout.zeros(seen)
+            tensors = tuple(t for x in seen.values() for t in tensors_of(x))
 
-            def moved(steps: Mapping[str, Tensor]) -> Tensor:
-                return self.blocks(self.layout.moved(seen, steps))
+            def of_tensors(*tensors: Tensor) -> Tensor:
+                every = iter(tensors)
+                return self.blocks(
+                    {name: value_like(x, tuple(next(every) for _ in tensors_of(x))) for name, x in seen.items()}
+                )
 
-            def along(direction: Mapping[str, Tensor]) -> Tensor:
-                tangents = {name: d.expand(zeros[name].shape) for name, d in direction.items()}
-                derivative: Tensor = torch.func.jvp(moved, (zeros,), (tangents,))[1]
-                return derivative
+            def along(changes: tuple[Tensor, ...]) -> Any:
+                return torch.func.jvp(of_tensors, tensors, changes)
 
-            columns = torch.func.vmap(along)(self.layout.directions(seen)).movedim(0, -1)
+            outputs: Any = (None, -1)  # residuals do not depend on the direction
+            r, columns = torch.func.vmap(along, out_dims=outputs)(self.layout.changes(seen))
             J = dict(zip(seen, columns.split([shape[-1] for shape in self.layout.shapes.values()], -1)))
         if self.weights is not None:
             counts = self.weights[..., None, None] > 0

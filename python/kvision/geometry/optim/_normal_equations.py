@@ -66,7 +66,10 @@ class Assembly:
         part = layout.slices[eliminate] if eliminate is not None else slice(layout.size, layout.size)
         self._removed = part
         self._width = part.stop - part.start
-        if self.eliminated is not None:  # before the first iteration takes memory
+
+    def prepare(self) -> None:
+        """Find the pairs of rows of the Schur complement, before the first iteration takes memory."""
+        if self.eliminated is not None:
             for i, a in enumerate(self.kept):
                 for b in self.kept[i:]:
                     self._pairs_of(a, b)

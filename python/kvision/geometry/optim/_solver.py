@@ -30,6 +30,7 @@ class Solver:
 
     def solve(self, x: Variables) -> tuple[Variables, Tensor, Tensor, Tensor]:
         """The solutions, their costs, whether they converged, and after how many steps."""
+        self.assembly.prepare()
         problem = self.problem
         cost = problem.cost(x)
         is_valid = cost.isfinite()

@@ -52,6 +52,24 @@ def retracted(x: Value, step: Tensor) -> Value:
     return moved
 
 
+def moving(x: Value, step: Tensor) -> tuple[Tensor, ...]:
+    """How the tensors of exp(s step) x change with s at s = 0, for steps (T, *, n) of all of its numbers."""
+    tensors = tensors_of(x)
+    if isinstance(x, Tensor):
+        return (step.reshape(len(step), *x.shape),)
+    step = step.reshape(len(step), *tensors[0].shape[:-1], _SIZES[type(x)])
+    w = step if isinstance(x, So3) else step[..., 3:6]
+    real, imaginary = tensors[0].split([1, 3], -1)
+    of_real, of_imaginary = -(w * imaginary).sum(-1, keepdim=True), real * w + torch.linalg.cross(w, imaginary[None])
+    of_q = 0.5 * torch.cat([of_real, of_imaginary], -1)  # half the product of (0, w) and q
+    if isinstance(x, So3):
+        return (of_q,)
+    of_t = step[..., :3] + torch.linalg.cross(w, tensors[1][None])
+    if not isinstance(x, Sim3):
+        return of_q, of_t
+    return of_q, of_t + step[..., 6:] * tensors[1], step[..., 6] * tensors[2]
+
+
 def normalized(x: Value) -> Value:
     """`x` with quaternions of length 1, from which products drift by rounding."""
     if isinstance(x, Tensor):
@@ -134,6 +152,10 @@ class Layout:
                 count, column = 1, column + width
             else:
                 i, count, width = self.index[name], shape[1], size * _product(shape[2:])
+                if i.numel() and _check.values_are_readable(i) and not (0 <= i.min() and i.max() < count):
+                    raise ValueCheckError(
+                        f"{op}: expected index[{name!r}] from 0 to {count - 1}, got {i}", actual_value=i
+                    )
                 rows = i.shape[1:]
                 for k, each in enumerate(i[:, None].unbind(1) if i.dim() == 1 else i.unbind(1)):
                     within = slice(k * width, (k + 1) * width)
@@ -200,6 +222,15 @@ class Layout:
         eye = torch.eye(self.width, dtype=like.dtype, device=like.device)
         parts = eye.split([shape[-1] for shape in self.shapes.values()], 1)
         return dict(zip(self.shapes, parts))
+
+    def changes(self, seen: Variables) -> tuple[Tensor, ...]:
+        """How all tensors (T, ...) of the variables that residuals see change along every column of the Jacobian."""
+        directions, zeros = self.directions(seen), self.zeros(seen)
+        steps = {
+            name: d.reshape(self.width, *(1,) * (zeros[name].dim() - 1), -1).expand(self.width, *zeros[name].shape)
+            for name, d in directions.items()
+        }
+        return tuple(t for name, x in seen.items() for t in moving(x, steps[name]))
 
 
 def _product(shape: tuple[int, ...] | torch.Size) -> int:

@@ -40,13 +40,19 @@ group_products = register(
 )
 
 
+def by_key(keys: Tensor, count: int) -> tuple[Tensor, Tensor]:
+    """Rows (N,) in the order of their keys, and where those of each key begin, (count + 1) of int32."""
+    ordered, order = keys.contiguous().sort(stable=True)
+    every = torch.arange(count + 1, dtype=keys.dtype, device=keys.device)
+    return order, torch.searchsorted(ordered, every, out_int32=True)
+
+
 class Groups:
     """Rows with keys (N,), and their sums by key, (B, count, *): the same bits every run."""
 
     def __init__(self, keys: Tensor, count: int) -> None:
-        ordered, order = keys.contiguous().sort(stable=True)
-        self.rows = order.int()[None]
-        self.offsets = torch.searchsorted(ordered, torch.arange(count + 1, device=keys.device), out_int32=True)[None]
+        order, offsets = by_key(keys, count)
+        self.rows, self.offsets = order.int()[None], offsets[None]
 
     def products(self, left: Tensor, right: Tensor, right_index: Tensor | None = None) -> Tensor:
         """Sums of left^T right (B, count, a, b) over rows of matrices (B, N, n, a) and (B, N, n, b).

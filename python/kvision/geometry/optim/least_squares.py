@@ -15,6 +15,7 @@ from kvision.geometry.optim._losses import Loss, RobustLoss, loss_of
 from kvision.geometry.optim._normal_equations import Assembly
 from kvision.geometry.optim._solver import Solver
 from kvision.geometry.optim._variables import Layout, Variables, detached, one_of, tensors_of, value_like
+from kvision.geometry.optim.bundle import fitted_bundle, is_bundle_problem
 from kvision.geometry.optim.reprojection import ReprojectionError, fitted_poses, is_pose_problem
 
 __all__ = ["LeastSquaresResult", "least_squares"]
@@ -155,12 +156,16 @@ def least_squares(
         solution, cost, converged, iterations = solver.solve(start)
     else:
         with torch.no_grad():
-            if isinstance(residuals, ReprojectionError) and is_pose_problem(residuals, problem, method):
-                solution, cost, converged, iterations = fitted_poses(
-                    residuals, detached(start), weights, max_iterations, tolerances
-                )
+            constant = detached(start)
+            error = residuals if isinstance(residuals, ReprojectionError) else None
+            if error is not None and is_pose_problem(error, problem, method):
+                found = fitted_poses(error, constant, weights, max_iterations, tolerances)
+            elif error is not None and is_bundle_problem(error, problem, method, eliminate, loss):
+                arguments = (layout.index, weights, loss, float(f_scale), max_iterations, tolerances)
+                found = fitted_bundle(error, constant, *arguments)  # type: ignore[arg-type]  # loss is a name
             else:
-                solution, cost, converged, iterations = solver.solve(detached(start))
+                found = solver.solve(constant)
+            solution, cost, converged, iterations = found
         if gradient == "implicit" and torch.is_grad_enabled():
             solution, cost = _with_implicit_gradient(problem, assembly, solution, cost)
     constant = detached(solution)
@@ -223,15 +228,15 @@ def _with_implicit_gradient(
     problem: Problem, assembly: Assembly, solution: Variables, cost: Tensor
 ) -> tuple[Variables, Tensor]:
     """The solution with the gradient of the implicit function theorem, by the exact Hessian."""
-    slope = assembly.vector(problem.gradient(solution))
-    if not slope.requires_grad:
+    value = problem.cost(solution)  # its derivative along the solution is 0
+    if not value.requires_grad:
         return solution, cost
+    slope = assembly.vector(problem.gradient(solution))
 
     def solve(grad: Tensor) -> Tensor:
         return assembly.solve(assembly.equations(problem.hessian(solution)), grad, None, positive=False).step
 
     moved = problem.layout.retracted(solution, _ImplicitStep.apply(slope, solve))
-    value = problem.cost(solution)  # its derivative along the solution is 0
     return {name: _valued(x, solution[name]) for name, x in moved.items()}, cost + (value - value.detach())
 
 

@@ -23,7 +23,9 @@ LENSES = {
 SIZE = (480, 640)
 
 
-def views(model: str, count: int, batch: int = 1, noise: float = 0.3, views: int = 6) -> tuple[Tensor, Tensor]:
+def views(
+    model: str, count: int, batch: int = 1, noise: float = 0.3, views: int = 6, side: float = 0.04
+) -> tuple[Tensor, Tensor]:
     """Points of a 7 x 6 board and their noisy pixels, through the first `count` coefficients of a lens."""
     generator = torch.Generator().manual_seed(0)
 
@@ -31,7 +33,7 @@ def views(model: str, count: int, batch: int = 1, noise: float = 0.3, views: int
         return 2 * torch.rand(*shape, generator=generator, dtype=F64) - 1
 
     board = torch.cartesian_prod(torch.arange(7.0), torch.arange(6.0)).to(F64) - torch.tensor([3.0, 2.5])
-    board = torch.cat([0.04 * board, torch.zeros(42, 1, dtype=F64)], -1).expand(batch, views, 42, 3)
+    board = torch.cat([side * board, torch.zeros(42, 1, dtype=F64)], -1).expand(batch, views, 42, 3)
     turn = Se3.exp(torch.cat([torch.zeros(batch, views, 3, dtype=F64), 0.5 * uniform(batch, views, 3)], -1))
     shift = torch.tensor([0.08, 0.08, 0.1]) * uniform(batch, views, 1, 3) + torch.tensor([0.0, 0.0, 0.42])
     p = (turn[:, :, None] * board).detach() + shift
@@ -95,12 +97,18 @@ def test_gradients_of_intrinsics(device: torch.device) -> None:
 
 
 @pytest.mark.derivatives
-@pytest.mark.parametrize(("model", "count"), [("brown_conrady", 5), ("kannala_brandt", 4)])
-def test_implicit_gradients_are_those_of_iterations(model: str, count: int, device: torch.device) -> None:
+@pytest.mark.parametrize(
+    ("model", "count", "num_views", "side"),
+    [("brown_conrady", 5, 4, 0.04), ("kannala_brandt", 4, 4, 0.04)]
+    + [("brown_conrady", n, 12, 0.1) for n in (8, 12)],  # a board that large determines as many coefficients
+)
+def test_implicit_gradients_are_those_of_iterations(
+    model: str, count: int, num_views: int, side: float, device: torch.device
+) -> None:
     """Of intrinsics and lens: against Gauss-Newton's steps from near the solution, unrolled."""
-    X, x = (t.to(device) for t in views(model, count, views=4, noise=0.05))
+    X, x = (t.to(device) for t in views(model, count, views=num_views, noise=0.05, side=side))
     x.requires_grad_()
-    fit = K.geometry.calibrate_camera(X, x, SIZE, model=model, max_iterations=100)
+    fit = K.geometry.calibrate_camera(X, x, SIZE, model=model, num_coefficients=count, max_iterations=100)
     camera = fit.camera_matrix[:, [0, 1, 0, 1], [0, 1, 2, 2]]
     weights = torch.cat([torch.ones(4), 100 * torch.ones(count)]).to(camera)
     implicit = torch.autograd.grad(torch.cat([camera[0], fit.dist[0]]) @ weights, x)[0]
@@ -108,7 +116,7 @@ def test_implicit_gradients_are_those_of_iterations(model: str, count: int, devi
     unrolled = least_squares(
         _BoardError(model, X, x, torch.ones_like(x[..., 0])),
         {"camera": camera.detach() + 3, "dist": fit.dist.detach(), "pose": pose},
-        index={"pose": torch.arange(4, device=device)},
+        index={"pose": torch.arange(num_views, device=device)},
         eliminate="pose",
         method="gauss-newton",
         max_iterations=8,

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from kvision.geometry.liegroup import Se3, Sim3, So3
 from kvision.geometry.optim import LeastSquaresResult, ReprojectionError, least_squares
-from kvision.geometry.optim._variables import moving, retracted, tensors_of
+from kvision.geometry.optim._variables import moving_tensors, retracted, velocities
 
 F64 = torch.float64
 
@@ -52,10 +52,10 @@ def test_derivatives_of_steps(group: Any, device: torch.device) -> None:
     """The closed form is the derivative of exp(d) x at d = 0, along each direction."""
     x = motion(group, 2, 5).to(device)
     steps = torch.eye({So3: 3, Se3: 6, Sim3: 7}[group], dtype=F64, device=device)[:, None, None].expand(-1, 2, 5, -1)
-    found = moving(x, steps)
+    found = velocities(x, moving_tensors(x), steps)
     zeros = torch.zeros_like(steps[0])
     for i, step in enumerate(steps):
-        expected = torch.func.jvp(lambda d: tensors_of(retracted(x, d)), (zeros,), (step,))[1]
+        expected = torch.func.jvp(lambda d: moving_tensors(retracted(x, d)), (zeros,), (step,))[1]
         for a, b in zip(found, expected, strict=True):
             torch.testing.assert_close(a[i], b)
 

@@ -11,7 +11,7 @@ from torch import Tensor
 from kvision.core.exceptions import ShapeError
 from kvision.geometry.optim._losses import Loss, with_derivatives
 from kvision.geometry.optim._normal_equations import Hessian, Slope
-from kvision.geometry.optim._variables import Layout, Reference, Variables, tensors_of, value_like
+from kvision.geometry.optim._variables import Layout, Reference, Variables, moving_tensors, moving_value, tensors_of
 from kvision.geometry.optim.group_products import Groups
 
 Residuals = Callable[[Variables], Tensor]
@@ -75,19 +75,16 @@ class Problem:
             r = self._checked(r, seen)
             J = {name: self._checked_jacobian(name, parts[name], r) for name in seen}
         else:
-            tensors = tuple(t for x in seen.values() for t in tensors_of(x))
+            moving = {name: moving_tensors(x) for name, x in seen.items()}
 
-            def of_tensors(*tensors: Tensor) -> Tensor:
-                every = iter(tensors)
-                return self.blocks(
-                    {name: value_like(x, tuple(next(every) for _ in tensors_of(x))) for name, x in seen.items()}
-                )
+            def of_tensors(moving: Mapping[str, tuple[Tensor, ...]]) -> Tensor:
+                return self.blocks({name: moving_value(x, moving[name]) for name, x in seen.items()})
 
-            def along(changes: tuple[Tensor, ...]) -> Any:
-                return torch.func.jvp(of_tensors, tensors, changes)
+            def along(velocities: Mapping[str, tuple[Tensor, ...]]) -> Any:
+                return torch.func.jvp(of_tensors, (moving,), (velocities,))
 
             outputs: Any = (None, -1)  # residuals do not depend on the direction
-            r, columns = torch.func.vmap(along, out_dims=outputs)(self.layout.changes(seen))
+            r, columns = torch.func.vmap(along, out_dims=outputs)(self.layout.velocities(seen, moving))
             J = dict(zip(seen, columns.split([shape[-1] for shape in self.layout.shapes.values()], -1)))
         if self.weights is not None:
             counts = self.weights[..., None, None] > 0

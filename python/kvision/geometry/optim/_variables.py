@@ -52,22 +52,51 @@ def retracted(x: Value, step: Tensor) -> Value:
     return moved
 
 
-def moving(x: Value, step: Tensor) -> tuple[Tensor, ...]:
-    """How the tensors of exp(s step) x change with s at s = 0, for steps (T, *, n) of all of its numbers."""
-    tensors = tensors_of(x)
+class _Turning(So3):
+    """Rotations that are differentiated: their matrices are given, because a derivative of the conversion takes long."""
+
+    def __init__(self, q: Tensor, matrix: Tensor) -> None:
+        super().__init__(Quaternion(q))
+        self._matrix = matrix
+
+    def matrix(self) -> Tensor:
+        return self._matrix
+
+    def __getitem__(self, idx: Any) -> So3:
+        return _Turning(self.q.data[idx], self._matrix[idx])
+
+
+def moving_tensors(x: Value) -> tuple[Tensor, ...]:
+    """The tensors of a variable that move with it, of which `moving_value` makes one."""
+    return tensors_of(x) if isinstance(x, Tensor) else (*tensors_of(x), (x if isinstance(x, So3) else x.r).matrix())
+
+
+def moving_value(x: Value, tensors: tuple[Tensor, ...]) -> Value:
+    """A variable of the kind of `x` of its moving tensors."""
+    if isinstance(x, Tensor):
+        return tensors[0]
+    q, *rest, matrix = tensors
+    rotation = _Turning(q, matrix)
+    return rotation if isinstance(x, So3) else type(x)(rotation, *rest)
+
+
+def velocities(x: Value, tensors: tuple[Tensor, ...], step: Tensor) -> tuple[Tensor, ...]:
+    """How the moving tensors of exp(s step) x change with s at s = 0, for steps (T, *, n) of all of its numbers."""
     if isinstance(x, Tensor):
         return (step.reshape(len(step), *x.shape),)
-    step = step.reshape(len(step), *tensors[0].shape[:-1], _SIZES[type(x)])
+    q, matrix = tensors[0], tensors[-1]
+    step = step.reshape(len(step), *q.shape[:-1], _SIZES[type(x)])
     w = step if isinstance(x, So3) else step[..., 3:6]
-    real, imaginary = tensors[0].split([1, 3], -1)
+    real, imaginary = q.split([1, 3], -1)
     of_real, of_imaginary = -(w * imaginary).sum(-1, keepdim=True), real * w + torch.linalg.cross(w, imaginary[None])
     of_q = 0.5 * torch.cat([of_real, of_imaginary], -1)  # half the product of (0, w) and q
+    of_matrix = torch.linalg.cross(w[..., None].expand(*w.shape, 3), matrix[None], dim=-2)
     if isinstance(x, So3):
-        return (of_q,)
+        return of_q, of_matrix
     of_t = step[..., :3] + torch.linalg.cross(w, tensors[1][None])
     if not isinstance(x, Sim3):
-        return of_q, of_t
-    return of_q, of_t + step[..., 6:] * tensors[1], step[..., 6] * tensors[2]
+        return of_q, of_t, of_matrix
+    return of_q, of_t + step[..., 6:] * tensors[1], step[..., 6] * tensors[2], of_matrix
 
 
 def normalized(x: Value) -> Value:
@@ -223,14 +252,14 @@ class Layout:
         parts = eye.split([shape[-1] for shape in self.shapes.values()], 1)
         return dict(zip(self.shapes, parts))
 
-    def changes(self, seen: Variables) -> tuple[Tensor, ...]:
-        """How all tensors (T, ...) of the variables that residuals see change along every column of the Jacobian."""
+    def velocities(self, seen: Variables, moving: Mapping[str, tuple[Tensor, ...]]) -> dict[str, tuple[Tensor, ...]]:
+        """How the moving tensors (T, ...) of the variables that residuals see change along every column of the Jacobian."""
         directions, zeros = self.directions(seen), self.zeros(seen)
         steps = {
             name: d.reshape(self.width, *(1,) * (zeros[name].dim() - 1), -1).expand(self.width, *zeros[name].shape)
             for name, d in directions.items()
         }
-        return tuple(t for name, x in seen.items() for t in moving(x, steps[name]))
+        return {name: velocities(x, moving[name], steps[name]) for name, x in seen.items()}
 
 
 def _product(shape: tuple[int, ...] | torch.Size) -> int:

@@ -15,8 +15,9 @@
 //   poses that it leads to evaluate   y, the points that it leads to, and the cost there accept     keeps what is
 //   better and changes the damping finish     the results
 //
-// Observations are in the order of their points. Nothing is stored for a pair of observations, only W for each; sums
-// have one order: the same bits every run. Included by fit_bundle_cpu.cpp, fit_bundle.cu and fit_bundle_op.cpp.
+// Observations are in the order of their points, and those of a point in the order of their cameras. Nothing is stored
+// for a pair of observations, only W for each; sums have one order: the same bits every run. Included by
+// fit_bundle_cpu.cpp, fit_bundle.cu and fit_bundle_op.cpp.
 #pragma once
 
 #include "core/isa.h"
@@ -37,7 +38,7 @@ template <class T>
 struct FitBundle {
   Reals start_poses, start_points;  // (B, C, 7): quaternion (w, x, y, z) and translation; (B, K, 3)
   Reals pixels, camera, weights;    // (B, N, 2), (B or 1, 3, 3), (B, N) or none
-  int32_t const *cameras, *points;  // (N): what an observation sees; points ascend
+  int32_t const *cameras, *points;  // (N): what an observation sees, in ascending order
   int32_t const* by_camera;         // (N): observations in the order of their cameras
   int32_t const *of_camera,
       *of_point;  // (C + 1), (K + 1): where those of a camera begin in by_camera, those of a point
@@ -96,7 +97,8 @@ KV_KERNEL(bundle_finish, FitBundle)
 
 namespace bundles {
 
-constexpr int kTile = 32;  // of the Schur complement
+constexpr int kTile = 32;     // of the Schur complement
+constexpr int kInFlight = 4;  // products of couplings that a thread has at once
 
 // --- observations ----------------------------------------------------------------------------------------------------
 
@@ -255,8 +257,9 @@ KV_HD void linearize_camera(FitBundle<T> const& p, int64_t b, int64_t c, double*
 }
 
 // Adds W (V + D)^-1 W^T of observations first, first + step, ... of a camera to its six rows, up to its own columns.
-// The threads of a group take the products of an observation in turns; y is memory of theirs for 18 numbers. A camera
-// may see a point several times: then products meet in one entry, but 36 are never in flight at once.
+// The threads of a group take the products of an observation in turns, several at once so that their loads overlap; y
+// is memory of theirs for 18 numbers. A camera may see a point several times, but threads never add to one entry at
+// once: there are 36 for each observation, and at most 32 threads.
 template <class T, class Group>
 KV_HD void add_couplings(FitBundle<T> const& p, int64_t b, int64_t c, int64_t first, int64_t step, double* rows,
                          int64_t pitch, double* y, Group group) {
@@ -272,14 +275,29 @@ KV_HD void add_couplings(FitBundle<T> const& p, int64_t b, int64_t c, int64_t fi
       y[t] = sum;
     }
     group.sync();
-    int64_t const begin = p.first_of_point(k), products = 36 * (p.first_of_point(k + 1) - begin);
-    for (int64_t t = group.thread_rank(); t < products; t += group.num_threads()) {
-      int64_t const other = begin + t / 36, column = p.camera_of(other);
-      if (column > c) continue;
-      int const i = int(t % 36) / 6, j = int(t % 36) % 6;
-      int64_t const V = 18 * (b * p.count + other) + 3 * j;
-      rows[i * pitch + 6 * column + j] +=
-          y[3 * i] * p.couplings[V] + y[3 * i + 1] * p.couplings[V + 1] + y[3 * i + 2] * p.couplings[V + 2];
+    // Those of other cameras come before the observation, as all are sorted.
+    int64_t const begin = p.first_of_point(k);
+    int64_t end = at + 1;
+    while (end < p.first_of_point(k + 1) && p.camera_of(end) == c) ++end;
+    int const products = int(36 * (end - begin)), threads = group.num_threads();
+    for (int first_product = 0; first_product < products; first_product += kInFlight * threads) {
+      double values[kInFlight];
+      int64_t entries[kInFlight];
+#pragma unroll
+      for (int u = 0; u < kInFlight; ++u) {
+        int const t = first_product + u * threads + group.thread_rank();
+        entries[u] = -1;
+        if (t >= products) continue;
+        int const i = t % 36 / 6, j = t % 6;
+        int64_t const other = begin + t / 36, column = p.camera_of(other), V = 18 * (b * p.count + other) + 3 * j;
+        values[u] = y[3 * i] * p.couplings[V] + y[3 * i + 1] * p.couplings[V + 1] + y[3 * i + 2] * p.couplings[V + 2];
+        entries[u] = column <= c ? i * pitch + 6 * column + j : -1;
+      }
+#pragma unroll
+      for (int u = 0; u < kInFlight; ++u) {
+        if (entries[u] >= 0) rows[entries[u]] += values[u];
+        group.sync();
+      }
     }
     group.sync();
   }

@@ -108,11 +108,17 @@ KV_CALLED void move(double const* step, double const* pose, double* moved) {
 
 }  // namespace pose_fits
 
+struct PoseFit {
+  double cost;
+  bool is_valid, is_done;  // whether the cost at the start is finite, and whether a tolerance was reached
+  int iterations;
+};
+
+// Moves a pose to where its cost is least.
 template <class T, class Group>
-KV_HD void fit_pose(FitPoses<T> const& p, int64_t b, Group group) {
+KV_HD PoseFit refine_pose(FitPoses<T> const& p, int64_t b, double* pose, Group group) {
   using namespace pose_fits;
-  double pose[7], candidate[7];
-  for (int i = 0; i < 7; ++i) pose[i] = p.start[7 * b + i];
+  double candidate[7];
   Normal normal, next;
   linearize(p, b, pose, normal, group);
   bool const is_valid = small::finite(normal.cost);
@@ -134,7 +140,7 @@ KV_HD void fit_pose(FitPoses<T> const& p, int64_t b, Group group) {
         predicted += 0.5 * step[i] * (added[i] * step[i] - normal.gradient[i]);
         length += step[i] * step[i];
       }
-      for (double const x : pose) size += x * x;
+      for (int i = 0; i < 7; ++i) size += pose[i] * pose[i];
       move(step, pose, candidate);
       linearize(p, b, candidate, next, group);
       is_better = next.cost <= normal.cost * (1 + p.slack);
@@ -152,11 +158,19 @@ KV_HD void fit_pose(FitPoses<T> const& p, int64_t b, Group group) {
     }
     damping = clamp(damping, 1e-15, 1e15);
   }
+  return {normal.cost, is_valid, is_done, iterations};
+}
+
+template <class T, class Group>
+KV_HD void fit_pose(FitPoses<T> const& p, int64_t b, Group group) {
+  double pose[7];
+  for (int i = 0; i < 7; ++i) pose[i] = p.start[7 * b + i];
+  PoseFit const fit = refine_pose(p, b, pose, group);
   if (group.thread_rank() != 0) return;
-  for (int i = 0; i < 7; ++i) p.poses.set(7 * b + i, is_valid ? pose[i] : small::nan());
-  p.costs.set(b, is_valid ? normal.cost : small::nan());
-  p.converged[b] = is_done && is_valid;
-  p.iterations[b] = iterations;
+  for (int i = 0; i < 7; ++i) p.poses.set(7 * b + i, fit.is_valid ? pose[i] : small::nan());
+  p.costs.set(b, fit.is_valid ? fit.cost : small::nan());
+  p.converged[b] = fit.is_done && fit.is_valid;
+  p.iterations[b] = fit.iterations;
 }
 
 }  // namespace kv::geometry

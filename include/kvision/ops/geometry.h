@@ -50,6 +50,13 @@ inline constexpr Operator<"distort_points", Tensor(Tensor points, Tensor camera,
 inline constexpr Operator<"undistort_map", Tensor(Tensor camera, Tensor coefficients, OptionalTensor tilt, Ints size)>
     undistort_map{Rule{detail::undistort_map_gradients}};
 
+// --- geometry/calibration/robust_poses_op.cpp
+
+inline constexpr Operator<"robust_poses",
+                          Three(Tensor hypotheses, Tensor points, Tensor pixels, Tensor camera, OptionalTensor mask,
+                                double threshold, double reach, int64_t rounds, int64_t steps, double tolerance)>
+    robust_poses{non_differentiable};
+
 // --- geometry/calibration/sample_poses_op.cpp
 
 inline constexpr Operator<"sample_poses", Tensor(Tensor points, Tensor pixels, Tensor camera, Tensor samples)>

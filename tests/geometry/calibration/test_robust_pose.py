@@ -64,6 +64,33 @@ class TestSamplePoses(PointOpTests):
     }
 
 
+_POSES = torch.cat([_SEEN[3][0], torch.full((1, 4), 0.0, dtype=F64)]).expand(5, 4, 4)[:, :3]
+_HYPOTHESES = _POSES + 0.01 * torch.arange(5, 0, -1, dtype=F64)[:, None, None] * torch.ones(3, 4, dtype=F64)
+_MASK = torch.arange(9) != 4
+
+
+class TestRobustPoses(PointOpTests):
+    calls = {
+        "robust_poses": [
+            Call(
+                (lambda: _HYPOTHESES, *(lambda i=i: _SAMPLED[i] for i in range(3)), mask),
+                (6.0, 18.0, 4, 3, 1e-8),
+                broadcasts=False,
+                differentiable=False,
+                dtypes=SINGLE_AND_DOUBLE,
+                accepted=("another dtype", "mask of torch.bool", "rounds", "steps", "hypotheses cut along axis -3"),
+                tolerance=500,
+            )
+            for mask in (None, lambda: _MASK)
+        ]
+    }
+
+    def test_vmap(self, name: str, call: Call, device: torch.device, backend: str) -> None:
+        if backend == "reference":
+            pytest.skip("on the CPU the reference ends when no score rises, which it reads")
+        super().test_vmap(name, call, device)
+
+
 def test_a_triangle_without_area_has_no_pose_and_a_pose_has_gradients(device: torch.device) -> None:
     X, x, camera, _ = (v.to(device) for v in seen(3, 3))
     X[1, 2] = X[1, 0] + 0.3 * (X[1, 1] - X[1, 0])

@@ -12,7 +12,7 @@ from kvision import _modes
 from kvision.geometry.liegroup import Se3
 from kvision.geometry.optim import ReprojectionError, least_squares
 from kvision.geometry.optim._losses import LOSSES
-from kvision.geometry.optim.group_products import by_key
+from kvision.geometry.optim.group_products import by_key, offsets_of
 from point_op_tests import SINGLE_AND_DOUBLE, Call, PointOpTests, near, vector
 
 F64 = torch.float64
@@ -41,7 +41,8 @@ def bundle(batch: int, views: int, points: int, noise: float = 0.5) -> tuple[Ten
 def sorted_bundle() -> tuple[Tensor, ...]:
     """One bundle as the operator takes it, the rows of samples first."""
     poses, X, pixels, camera, point = bundle(1, 3, 6)
-    order, of_point = by_key(point, 6)
+    order, _ = by_key(3 * point + camera, 18)
+    of_point = offsets_of(point[order], 6)
     by_camera, of_camera = by_key(camera[order], 3)
     indices = (camera[order], point[order], by_camera, of_camera, of_point)
     return poses[0], X[0], pixels[0, order], *(i.int()[None] for i in indices)
@@ -89,8 +90,11 @@ def solved(error: Any, data: tuple[Tensor, ...], **options: Any) -> Any:
 @pytest.mark.parametrize("loss", LOSSES)
 @pytest.mark.parametrize("dtype", SINGLE_AND_DOUBLE)
 def test_the_kernel_iterates_as_the_solver(loss: Any, dtype: torch.dtype, device: torch.device) -> None:
-    """Weights of 0 and without any, a pixel that is NaN, points and cameras that nothing sees, a start at the solution."""
+    """Weights of 0 and without any, a pixel that is NaN, points and cameras that nothing sees, points seen several times."""
     poses, X, pixels, camera, point = bundle(5, 7, 40)
+    again = torch.arange(0, len(camera), 3).repeat(3)
+    pixels = torch.cat([pixels, pixels[:, again] + randn(5, len(again), 2, seed=8)], 1)
+    camera, point = torch.cat([camera, camera[again]]), torch.cat([point, point[again]])
     weights = randn(5, len(camera), seed=7).abs() + 0.1
     weights[0, :5], weights[1], weights[3, camera == 2] = 0, 0, 0
     weights[3, point == 4] = 0

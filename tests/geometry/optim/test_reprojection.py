@@ -62,6 +62,7 @@ def test_the_kernel_iterates_as_the_solver(dtype: torch.dtype, device: torch.dev
     options = {"weights": weights, "max_iterations": 15, "gradient": "none"}
     kernel = least_squares(error, start, **options)
     solver = least_squares(lambda v: error(v), start, jacobian=lambda v: error.with_jacobian(v), **options)
+    assert kernel.converged.dtype is torch.bool and kernel.iterations.dtype is torch.int64
     assert kernel.converged.tolist() == solver.converged.tolist() and kernel.cost[2].isnan()
     assert kernel.iterations[1] == 0 and kernel.variables["pose"].t[2].isnan().all()
     determined = torch.tensor([0, 1, 4, 5], device=device)

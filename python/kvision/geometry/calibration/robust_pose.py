@@ -15,7 +15,6 @@ from kvision.geometry.calibration.alignment import check_pairs, kabsch, umeyama
 from kvision.geometry.calibration.camera import poses_where
 from kvision.geometry.calibration.p3p import poses_of_triangles
 from kvision.geometry.calibration.pnp import _before_camera, check_correspondences
-from kvision.geometry.calibration.refined_pnp import _as_se3
 from kvision.geometry.conversions.rotations import quaternion_to_rotation_matrix, rotation_matrix_to_quaternion
 from kvision.geometry.liegroup import Se3, Sim3
 from kvision.geometry.optim import ReprojectionError, least_squares
@@ -26,7 +25,7 @@ __all__ = ["kabsch_ransac", "solve_pnp_ransac", "umeyama_ransac"]
 
 _ROUNDS = 6  # the most fits by sigma-consensus++
 _REACH = 3.0  # the largest error that a fit uses, in thresholds
-_STEPS, _TOLERANCES = 3, (1e-8, 1e-8, 1e-8)  # of the least squares of one fit of a pose
+_STEPS, _TOLERANCE = 3, 1e-8  # of the least squares of one fit of a pose
 
 
 def solve_pnp_ransac(
@@ -78,28 +77,17 @@ def solve_pnp_ransac(
     check_correspondences(op, world_points, img_points, intrinsics, None, 4, "four")
     threshold, draws = _sampled(op, world_points, mask, 4, inl_th, max_samples, seed)
 
-    homogeneous = torch.nn.functional.pad(world_points, (0, 1), value=1.0).mT
-
-    def errors(poses: Tensor) -> Tensor:
-        rows = intrinsics @ poses.transpose(1, 2).flatten(2)  # (B, 3, S 4), one product for all hypotheses
-        rows = rows.unflatten(2, (-1, 4)).transpose(1, 2).flatten(1, 2)
-        h = (rows @ homogeneous).unflatten(1, (-1, 3))  # (B, S, 3, N)
-        return _squared_distances(h.mT, img_points[:, None])
-
-    def fit(poses: Tensor, weights: Tensor) -> Tensor:
-        q = rotation_matrix_to_quaternion(poses[:, 0, :, :3])
-        start = torch.cat([q, poses[:, 0, :, 3]], -1)
-        observed = (world_points, img_points, intrinsics, weights[:, 0])
-        pose = fit_poses(start, *observed, _STEPS, *_TOLERANCES)[0]
-        return torch.cat([quaternion_to_rotation_matrix(pose[:, :4]), pose[:, 4:, None]], -1)[:, None]
-
     with torch.no_grad():
         hypotheses = _sample_poses(world_points, img_points, intrinsics, draws)
-        pose, weights, inliers = _estimated(hypotheses, errors, fit, threshold, mask)
+        problem = (world_points, img_points, intrinsics, mask)
+        pose, weights, inliers = _robust_poses(
+            hypotheses, *problem, threshold, _REACH * threshold, _ROUNDS, _STEPS, _TOLERANCE
+        )
         is_valid = inliers.sum(1) >= 4
         weights = torch.where(is_valid[:, None], weights, 1)
+        start = Se3.from_qxyz(pose).requires_grad_(False)
     error = ReprojectionError(img_points, intrinsics, world_points)
-    solution = least_squares(error, {"pose": _as_se3(pose)}, weights, max_iterations=10).variables["pose"]
+    solution = least_squares(error, {"pose": start}, weights, max_iterations=10).variables["pose"]
     is_valid = is_valid & solution.t.isfinite().all(-1)
     return poses_where(is_valid, solution), is_valid, inliers & is_valid[:, None]
 
@@ -123,6 +111,51 @@ _sample_poses = register(
     _sample_poses_reference,
     fake=lambda points, pixels, camera, samples: (*samples.shape[:2], 3, 4),
     non_differentiable=(0,),
+)
+
+
+def _robust_poses_reference(
+    hypotheses: Tensor,
+    points: Tensor,
+    pixels: Tensor,
+    camera: Tensor,
+    mask: Tensor | None,
+    threshold: float,
+    reach: float,
+    rounds: int,
+    steps: int,
+    tolerance: float,
+) -> tuple[Tensor, Tensor, Tensor]:
+    homogeneous = torch.nn.functional.pad(points, (0, 1), value=1.0).mT
+
+    def errors(poses: Tensor) -> Tensor:
+        rows = camera @ poses.transpose(1, 2).flatten(2)  # (B, 3, S 4), one product for all hypotheses
+        rows = rows.unflatten(2, (-1, 4)).transpose(1, 2).flatten(1, 2)
+        h = (rows @ homogeneous).unflatten(1, (-1, 3))  # (B, S, 3, N)
+        return _squared_distances(h.mT, pixels[:, None])
+
+    def fit(poses: Tensor, weights: Tensor) -> Tensor:
+        start = torch.cat([rotation_matrix_to_quaternion(poses[:, 0, :, :3]), poses[:, 0, :, 3]], -1)
+        pose = fit_poses.reference(start, points, pixels, camera, weights[:, 0], steps, *(tolerance,) * 3)[0]
+        return torch.cat([quaternion_to_rotation_matrix(pose[:, :4]), pose[:, 4:, None]], -1)[:, None]
+
+    best, weights, inliers = _estimated(hypotheses, errors, fit, threshold, reach, rounds, mask)
+    return torch.cat([rotation_matrix_to_quaternion(best[:, :, :3]), best[:, :, 3]], -1), weights, inliers
+
+
+# Poses (B, 7), quaternions and translations: of hypotheses (B, S, 3, 4) that with the highest score, fitted by sigma-consensus++ up
+# to `rounds` times; the weights (B, N) of the next fit; and the inliers, bool (B, N). The mask (B, N) tells which points (B, N, 3)
+# and pixels (B, N, 2) exist.
+_robust_poses = register(
+    "robust_poses",
+    _robust_poses_reference,
+    fake=lambda hypotheses, points, *rest: [
+        (hypotheses.shape[0], 7),
+        points.shape[:2],
+        points.new_empty(points.shape[:2], dtype=torch.bool),
+    ],
+    non_differentiable=(0, 1, 2),
+    casts_outputs=True,
 )
 
 
@@ -234,7 +267,7 @@ def _aligned_robustly(
         x, y = (_at(p, draws).flatten(0, 1) for p in (points1, points2))
         hypotheses = fitted(x, y, None).unflatten(0, (batch, -1))
         fit = lambda _, weights: fitted(points1, points2, weights[:, 0])[:, None]  # noqa: E731
-        _, weights, inliers = _estimated(hypotheses, errors, fit, threshold, mask)
+        _, weights, inliers = _estimated(hypotheses, errors, fit, threshold, _REACH * threshold, _ROUNDS, mask)
         inliers = inliers & (inliers.sum(1, keepdim=True) >= 3)
         weights = torch.where(inliers.any(1, keepdim=True), weights, 0)
     result, is_valid = align(points1, points2, weights)
@@ -302,7 +335,7 @@ def _squared_distances(h: Tensor, x: Tensor) -> Tensor:
 
 
 def _estimated(
-    hypotheses: Tensor, errors: Errors, fit: Fit, threshold: float, mask: Tensor | None
+    hypotheses: Tensor, errors: Errors, fit: Fit, threshold: float, reach: float, rounds: int, mask: Tensor | None
 ) -> tuple[Tensor, Tensor, Tensor]:
     """The best of models (B, S, 3, 4), fitted by sigma-consensus++, the weights (B, N) of its next fit, and its inliers."""
 
@@ -311,11 +344,10 @@ def _estimated(
         return e if mask is None else torch.where(mask[:, None], e, torch.nan)
 
     hypotheses = hypotheses.nan_to_num(0.0)
-    reach = _REACH * threshold
     best = consensus(of_existing(hypotheses), threshold)[1].sum(-1).argmax(1)
     start = hypotheses[torch.arange(len(best), device=best.device), best][:, None]
     fitted, _, squares = rising_fits(
-        start, of_existing, lambda P, w: fit(P, w).to(P.dtype).nan_to_num(0.0), reach, _ROUNDS
+        start, of_existing, lambda P, w: fit(P, w).to(P.dtype).nan_to_num(0.0), reach, rounds
     )
     model, e = fitted[:, 0], squares[:, 0]
     return model, consensus(e, reach)[0].to(model.dtype), e <= threshold**2

@@ -13,7 +13,7 @@ from kvision.geometry.optim._losses import Loss, RobustLoss, loss_of
 from kvision.geometry.optim._normal_equations import Assembly
 from kvision.geometry.optim._solver import Solver
 from kvision.geometry.optim._variables import Layout, Variables, tensors_of, value_like
-from kvision.geometry.optim.group_products import by_key
+from kvision.geometry.optim.group_products import by_key, offsets_of
 from kvision.geometry.optim.reprojection import ReprojectionError
 
 
@@ -49,9 +49,9 @@ def _reference(
 
 # The poses from world to camera (B, C, 7), quaternions and translations, and the points (B, K, 3) that Levenberg and Marquardt's
 # method finds from a start; their costs (B,), whether a tolerance was reached, and the number of steps. The pixels (B, N, 2) and
-# weights (B, N) are those of observations in the order of their points, which `point_index` (1, N) names, and `camera_index` their
-# cameras; `by_camera` (1, N) orders them by camera, and offsets (1, C + 1) and (1, K + 1) say where those of each camera and point
-# begin. All of these are int32.
+# weights (B, N) are those of observations in the order of their points, which `point_index` (1, N) names, and of their cameras,
+# which `camera_index` names; `by_camera` (1, N) orders them by camera alone, and offsets (1, C + 1) and (1, K + 1) say where those
+# of each camera and point begin. All of these are int32.
 fit_bundle = register(
     "fit_bundle",
     _reference,
@@ -63,6 +63,7 @@ fit_bundle = register(
         poses.new_empty(poses.shape[:1], dtype=torch.int64),
     ],
     non_differentiable=(0, 1, 2, 3, 4),
+    casts_outputs=True,
 )
 
 
@@ -98,18 +99,19 @@ def fitted_bundle(
 ) -> tuple[Variables, Tensor, Tensor, Tensor]:
     """The solution of such a problem, as `Solver.solve` returns it."""
     pose, points = start["pose"], start["points"]
-    order, of_point = by_key(index["points"], points.shape[1])
-    by_camera, of_camera = by_key(index["pose"][order], pose.t.shape[1])
+    order = (index["points"] * pose.t.shape[1] + index["pose"]).argsort(stable=True)
+    camera_index, point_index = index["pose"][order], index["points"][order]
+    by_camera, of_camera = by_key(camera_index, pose.t.shape[1])
     poses, found, cost, converged, iterations = fit_bundle(
         torch.cat(tensors_of(pose), -1),
         points,
         error.pixels[:, order],
         error.camera_matrix,
-        index["pose"][order].int()[None],
-        index["points"][order].int()[None],
+        camera_index.int()[None],
+        point_index.int()[None],
         by_camera.int()[None],
         of_camera[None],
-        of_point[None],
+        offsets_of(point_index, points.shape[1])[None],
         None if weights is None else weights[:, order],
         _modes.ROBUST_LOSS[loss],
         float(f_scale),

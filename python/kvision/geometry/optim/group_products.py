@@ -43,8 +43,13 @@ group_products = register(
 def by_key(keys: Tensor, count: int) -> tuple[Tensor, Tensor]:
     """Rows (N,) in the order of their keys, and where those of each key begin, (count + 1) of int32."""
     ordered, order = keys.contiguous().sort(stable=True)
-    every = torch.arange(count + 1, dtype=keys.dtype, device=keys.device)
-    return order, torch.searchsorted(ordered, every, out_int32=True)
+    return order, offsets_of(ordered, count)
+
+
+def offsets_of(ordered: Tensor, count: int) -> Tensor:
+    """Where rows of each key begin among ordered keys (N,), (count + 1) of int32."""
+    every = torch.arange(count + 1, dtype=ordered.dtype, device=ordered.device)
+    return torch.searchsorted(ordered, every, out_int32=True)
 
 
 class Groups:

@@ -121,6 +121,7 @@ fit_poses = register(
         start.new_empty(start.shape[:1], dtype=torch.int64),
     ],
     non_differentiable=(0, 1, 2, 3),
+    casts_outputs=True,
 )
 
 

@@ -32,6 +32,7 @@ FOLDERS = (
     "docs/notes",
     "docs/reference",
     "docs/reference/geometry",
+    "docs/reference/tv",
     "examples/cpp",
     "third_party",
 )

@@ -38,8 +38,9 @@ def public_modules() -> Iterator[ModuleType]:
         "augmentation.presets.ada",
         "augmentation.random_generator",
         "sensors.camera",
+        "tv.functional",
     )
-    yield from (importlib.import_module(f"kvision.{module}") for module in modules)  # modules of Kornia
+    yield from (importlib.import_module(f"kvision.{module}") for module in modules)  # modules of Kornia and torchvision
 
 
 def public_names(module: ModuleType) -> list[str]:

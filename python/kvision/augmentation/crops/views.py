@@ -5,13 +5,22 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from kvision import _check, geometry
-from kvision._constants import constant
+from kvision import _check
+from kvision._dtype import compute_dtype
+from kvision._modes import INTERPOLATION
+from kvision.augmentation.columns import Column, plan_draws
+from kvision.augmentation.drawn_links import DrawnLinks
+from kvision.augmentation.draws import Request
 from kvision.augmentation.inputs import parse_size
+from kvision.augmentation.keys import draw_keys
+from kvision.augmentation.maps import warp
 from kvision.augmentation.random_generator.crop import ResizedCropGenerator
 from kvision.augmentation.ranges import Numbers
+from kvision.augmentation.transforms import MatrixPlan, Transform
+from kvision.augmentation.warp_and_color import Resampling
 from kvision.core.exceptions import ValueCheckError
 from kvision.geometry.transform.lists.arguments import check_list
+from kvision.geometry.transform.resize_windows import resized_windows
 
 __all__ = ["FiveCrop", "MultiCrop", "TenCrop"]
 
@@ -94,8 +103,8 @@ class TenCrop(FiveCrop):
 class MultiCrop(nn.Module):
     """Cut several windows out of every image, large and small ones, and resize them: the views of self-supervised training.
 
-    The windows are drawn as those of :class:`RandomResizedCrop`, for every view of every sample, and all views of a size are one
-    resampling of the images, which are not copied for them. Edges of windows go to edges of views.
+    The windows of all views of every sample are drawn together, as those of :class:`RandomResizedCrop`, and each view is a resampling
+    of the images, which are not copied for it. Edges of windows go to edges of views.
 
     Args:
         global_size: height and width of large views; an int for both.
@@ -143,24 +152,22 @@ class MultiCrop(nn.Module):
     def forward(self, input: Tensor) -> list[Tensor]:
         """The views of images (B, C, H, W): first the large ones, then the small ones, each (B, C, h, w)."""
         _check.images("MultiCrop", "input", input)
-        batch, views = input.shape[0], list[Tensor]()
-        for count, generator in zip(self.counts, (self.global_generator, self.local_generator)):
-            if not count:
-                continue
-            h, w = generator.output_size
-            corners = generator((count * batch, *input.shape[1:]))["src"]
-            first, last = corners[:, :1], corners[:, 2:3]
-            # From the centers of a window's corner pixels to those of the result's: both have their edges in common.
-            inset = ((last - first + 1) / constant((w, h), corners) - 1) / 2
-            inward = constant(((1, 1), (-1, 1), (-1, -1), (1, -1)), corners)
-            image = torch.arange(batch, device=input.device).repeat(count)
-            crops = geometry.crop_and_resize(
-                input,
-                corners + inset * inward,
-                (h, w),
-                padding_mode="border",
-                box_indices=image,
-                antialias=self.antialias,
-            )
-            views += crops.unflatten(0, (count, batch)).unbind(0)
-        return views
+        generators = [g for n, g in zip(self.counts, (self.global_generator, self.local_generator)) for _ in range(n)]
+        keys = draw_keys("MultiCrop", len(generators), input.device, None, None)
+        sizes, matrices = [generator.output_size for generator in generators], list[Tensor]()
+        for draws in plan_draws([Request(generator.draws(tuple(input.shape))) for generator in generators], False):
+            plans = []
+            for (h, w), span in zip(sizes[len(matrices) :], draws.spans):
+                window = [Column(span.first + i) for i in range(4)]
+                plans.append(MatrixPlan([Transform("crop", *window, float(w), float(h), 0.0)]))
+            columns, _, links = DrawnLinks(draws, plans).draw(input, keys)
+            if links is None:
+                links = [plan.matrix(columns.to(compute_dtype(input))) for plan in plans]
+            matrices += links
+        return [self._view(input, matrix, size) for matrix, size in zip(matrices, sizes)]
+
+    def _view(self, x: Tensor, matrix: Tensor, size: tuple[int, int]) -> Tensor:
+        if self.antialias and (x.is_floating_point() or x.dtype == torch.uint8):
+            y: Tensor = resized_windows(x, matrix, list(size), INTERPOLATION["bilinear"], False)
+            return y
+        return warp(x, matrix, size, Resampling("bilinear", "border", False, None, self.antialias))

@@ -82,6 +82,14 @@ def rgb_to_grayscale(inpt: Tensor, num_output_channels: int = 1) -> Tensor:
 
     Returns:
         (*, num_output_channels, H, W) of the same type.
+
+    Raises:
+        TypeCheckError, ValueError: not 1 or 3 channels, in `inpt` or asked for.
+
+    Example:
+        >>> import torch, kvision.tv.functional as F
+        >>> F.rgb_to_grayscale(torch.tensor([1.0, 0.5, 0.0]).reshape(3, 1, 1))
+        tensor([[[0.5924]]])
     """
     if num_output_channels not in (1, 3):
         raise ValueError(f"rgb_to_grayscale: expected num_output_channels of 1 or 3, got {num_output_channels}")
@@ -103,6 +111,11 @@ def grayscale_to_rgb(inpt: Tensor) -> Tensor:
 
     Returns:
         (*, 3, H, W); images of three channels as they are.
+
+    Example:
+        >>> import torch, kvision.tv.functional as F
+        >>> F.grayscale_to_rgb(torch.ones(1, 4, 5)).shape
+        torch.Size([3, 4, 5])
     """
     return inpt if inpt.shape[-3] >= 3 else repeated(inpt)
 
@@ -119,6 +132,17 @@ def adjust_brightness(inpt: Tensor, brightness_factor: float) -> Tensor:
     Args:
         inpt: a tensor, tv_tensor or PIL image.
         brightness_factor: 0 gives black, 1 the image.
+
+    Returns:
+        What is given, of the same type and size.
+
+    Raises:
+        ValueError: the factor is below 0.
+
+    Example:
+        >>> import torch, kvision.tv.functional as F
+        >>> F.adjust_brightness(torch.full((3, 1, 1), 0.75), 0.5).flatten()
+        tensor([0.3750, 0.3750, 0.3750])
     """
     _check_factor("adjust_brightness", brightness_factor)
     return _scaled(inpt, brightness_factor)
@@ -147,6 +171,17 @@ def adjust_saturation(inpt: Tensor, saturation_factor: float) -> Tensor:
     Args:
         inpt: a tensor, tv_tensor or PIL image.
         saturation_factor: 0 gives gray, 1 the image.
+
+    Returns:
+        What is given, of the same type and size.
+
+    Raises:
+        TypeCheckError, ValueError: not 1 or 3 channels; the factor is below 0.
+
+    Example:
+        >>> import torch, kvision.tv.functional as F
+        >>> F.adjust_saturation(torch.tensor([1.0, 0.5, 0.0]).reshape(3, 1, 1), 0.0).flatten()
+        tensor([0.5924, 0.5924, 0.5924])
     """
     _check_factor("adjust_saturation", saturation_factor)
     return _saturated(inpt, saturation_factor) if _is_rgb("adjust_saturation", inpt) else inpt
@@ -167,6 +202,17 @@ def adjust_contrast(inpt: Tensor, contrast_factor: float) -> Tensor:
     Args:
         inpt: a tensor, tv_tensor or PIL image.
         contrast_factor: 0 gives the mean, 1 the image.
+
+    Returns:
+        What is given, of the same type and size.
+
+    Raises:
+        TypeCheckError, ValueError: not 1 or 3 channels; the factor is below 0.
+
+    Example:
+        >>> import torch, kvision.tv.functional as F
+        >>> F.adjust_contrast(torch.tensor([[[0.25, 0.75]]]), 0.5)
+        tensor([[[0.3750, 0.6250]]])
     """
     _check_factor("adjust_contrast", contrast_factor)
     _is_rgb("adjust_contrast", inpt)
@@ -190,6 +236,17 @@ def adjust_hue(inpt: Tensor, hue_factor: float) -> Tensor:
     Args:
         inpt: a tensor, tv_tensor or PIL image.
         hue_factor: in turns, -.5 to .5.
+
+    Returns:
+        What is given, of the same type and size.
+
+    Raises:
+        TypeCheckError, ValueError: not 1 or 3 channels; the turn is not within -.5 and .5.
+
+    Example:
+        >>> import torch, kvision.tv.functional as F
+        >>> F.adjust_hue(torch.tensor([1.0, 0.0, 0.0]).reshape(3, 1, 1), 1 / 3).flatten()
+        tensor([0., 1., 0.])
     """
     _check_factor("adjust_hue", hue_factor, -0.5, 0.5)
     return _rotated_hue(inpt, hue_factor) if _is_rgb("adjust_hue", inpt) and inpt.numel() else inpt
@@ -208,6 +265,17 @@ def adjust_gamma(inpt: Tensor, gamma: float, gain: float = 1) -> Tensor:
         inpt: a tensor, tv_tensor or PIL image.
         gamma: the exponent, at least 0.
         gain: a factor of the result.
+
+    Returns:
+        What is given, of the same type and size.
+
+    Raises:
+        ValueError: gamma is below 0.
+
+    Example:
+        >>> import torch, kvision.tv.functional as F
+        >>> F.adjust_gamma(torch.tensor([[[0.25, 0.5]]]), 2.0)
+        tensor([[[0.0625, 0.2500]]])
     """
     _check_factor("adjust_gamma", gamma)
     return _power(inpt, gamma, gain)
@@ -225,6 +293,17 @@ def adjust_sharpness(inpt: Tensor, sharpness_factor: float) -> Tensor:
     Args:
         inpt: a tensor, tv_tensor or PIL image.
         sharpness_factor: 0 gives the smoothed image, 1 the image, more sharpens.
+
+    Returns:
+        What is given, of the same type and size.
+
+    Raises:
+        TypeCheckError, ValueError: not 1 or 3 channels; the factor is below 0.
+
+    Example:
+        >>> import torch, kvision.tv.functional as F
+        >>> F.adjust_sharpness(torch.ones(3, 8, 6), 2.0).shape
+        torch.Size([3, 8, 6])
     """
     _check_factor("adjust_sharpness", sharpness_factor)
     _is_rgb("adjust_sharpness", inpt)
@@ -238,6 +317,17 @@ def posterize(inpt: Tensor, bits: int) -> Tensor:
     Args:
         inpt: a tensor, tv_tensor or PIL image.
         bits: how many, 0 to 8.
+
+    Returns:
+        What is given, of the same type and size.
+
+    Raises:
+        TypeCheckError: `bits` is no int of 0 to 8.
+
+    Example:
+        >>> import torch, kvision.tv.functional as F
+        >>> F.posterize(torch.tensor([[[100, 200]]], dtype=torch.uint8), 1)
+        tensor([[[  0, 128]]], dtype=torch.uint8)
     """
     if not isinstance(bits, int) or not 0 <= bits <= 8:
         raise TypeCheckError(f"posterize: expected bits to be an int of 0 to 8, got {bits!r}")
@@ -255,6 +345,17 @@ def solarize(inpt: Tensor, threshold: float) -> Tensor:
     Args:
         inpt: a tensor, tv_tensor or PIL image.
         threshold: in the units of the image, up to white.
+
+    Returns:
+        What is given, of the same type and size.
+
+    Raises:
+        TypeCheckError: the threshold is above white.
+
+    Example:
+        >>> import torch, kvision.tv.functional as F
+        >>> F.solarize(torch.tensor([[[0.25, 0.75]]]), 0.5)
+        tensor([[[0.2500, 0.2500]]])
     """
     white = largest(inpt.dtype)
     if threshold > white:
@@ -281,6 +382,17 @@ def autocontrast(inpt: Tensor) -> Tensor:
 
     Args:
         inpt: a tensor, tv_tensor or PIL image.
+
+    Returns:
+        What is given, of the same type and size.
+
+    Raises:
+        TypeCheckError: not 1 or 3 channels.
+
+    Example:
+        >>> import torch, kvision.tv.functional as F
+        >>> F.autocontrast(torch.tensor([[[0.25, 0.5]]]))
+        tensor([[[0., 1.]]])
     """
     _is_rgb("autocontrast", inpt)
     return _stretched(inpt) if inpt.numel() else inpt
@@ -292,6 +404,14 @@ def equalize(inpt: Tensor) -> Tensor:
 
     Args:
         inpt: a tensor, tv_tensor or PIL image.
+
+    Returns:
+        What is given, of the same type and size.
+
+    Example:
+        >>> import torch, kvision.tv.functional as F
+        >>> F.equalize(torch.tensor([[[3, 3, 7, 9]]], dtype=torch.uint8))
+        tensor([[[3, 3, 7, 9]]], dtype=torch.uint8)
     """
     if inpt.numel() == 0:
         return inpt
@@ -305,6 +425,14 @@ def invert(inpt: Tensor) -> Tensor:
 
     Args:
         inpt: a tensor, tv_tensor or PIL image.
+
+    Returns:
+        What is given, of the same type and size.
+
+    Example:
+        >>> import torch, kvision.tv.functional as F
+        >>> F.invert(torch.tensor([[[0.25]]]))
+        tensor([[[0.7500]]])
     """
     if inpt.is_floating_point():
         return 1.0 - inpt
@@ -323,6 +451,17 @@ def permute_channels(inpt: Tensor, permutation: Sequence[int] | Tensor) -> Tenso
     Args:
         inpt: a tensor, tv_tensor or PIL image.
         permutation: the source of each channel.
+
+    Returns:
+        What is given, of the same type and size.
+
+    Raises:
+        ValueError: not an entry of each channel.
+
+    Example:
+        >>> import torch, kvision.tv.functional as F
+        >>> F.permute_channels(torch.arange(3.0).reshape(3, 1, 1), [2, 0, 1]).flatten()
+        tensor([2., 0., 1.])
     """
     if len(permutation) != inpt.shape[-3]:
         raise ValueError(
@@ -340,6 +479,17 @@ def normalize(inpt: Tensor, mean: Sequence[float], std: Sequence[float], inplace
         mean: one of each channel.
         std: one of each channel.
         inplace: write into the image.
+
+    Returns:
+        What is given, of the same type and size.
+
+    Raises:
+        TypeCheckError, ValueError: no tensor of floating point (*, C, H, W); a deviation of 0.
+
+    Example:
+        >>> import torch, kvision.tv.functional as F
+        >>> F.normalize(torch.ones(1, 1, 1), [0.5], [0.25])
+        tensor([[[2.]]])
     """
     if not inpt.is_floating_point():
         raise TypeCheckError(
@@ -382,6 +532,17 @@ def gaussian_blur(
         inpt: a tensor, tv_tensor or PIL image.
         kernel_size: width and height of the window, odd, an int for both.
         sigma: standard deviations along x and y in pixels, a number for both; default: .15 kernel_size + .35.
+
+    Returns:
+        What is given, of the same type and size.
+
+    Raises:
+        ValueError: a size is not odd, a deviation not above 0.
+
+    Example:
+        >>> import torch, kvision.tv.functional as F
+        >>> F.gaussian_blur(torch.ones(3, 8, 6), 3).shape
+        torch.Size([3, 8, 6])
     """
     kx, ky = _two_numbers("gaussian_blur", "kernel_size", kernel_size)
     if kx % 2 == 0 or ky % 2 == 0 or min(kx, ky) < 1:

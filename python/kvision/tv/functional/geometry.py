@@ -67,6 +67,14 @@ def horizontal_flip(inpt: Tensor) -> Tensor:
 
     Args:
         inpt: a tensor, tv_tensor or PIL image.
+
+    Returns:
+        What is given, of the same type and size.
+
+    Example:
+        >>> import torch, kvision.tv.functional as F
+        >>> F.horizontal_flip(torch.tensor([[[1.0, 2.0]]]))
+        tensor([[[2., 1.]]])
     """
     return inpt.flip(-1)
 
@@ -77,6 +85,14 @@ def vertical_flip(inpt: Tensor) -> Tensor:
 
     Args:
         inpt: a tensor, tv_tensor or PIL image.
+
+    Returns:
+        What is given, of the same type and size.
+
+    Example:
+        >>> import torch, kvision.tv.functional as F
+        >>> F.vertical_flip(torch.tensor([[[1.0], [2.0]]])).flatten()
+        tensor([2., 1.])
     """
     return inpt.flip(-2)
 
@@ -109,6 +125,15 @@ def crop(inpt: Tensor, top: int, left: int, height: int, width: int) -> Tensor:
         left: first column.
         height: of the window.
         width: of the window.
+
+    Returns:
+        The window, of the type of `inpt`.
+
+    Example:
+        >>> import torch, kvision.tv.functional as F
+        >>> F.crop(torch.arange(6.0).reshape(1, 2, 3), 0, 1, 2, 2)
+        tensor([[[1., 2.],
+                 [4., 5.]]])
     """
     h, w = inpt.shape[-2:]
     bottom, right = top + height, left + width
@@ -145,6 +170,17 @@ def center_crop(inpt: Tensor, output_size: int | Sequence[int]) -> Tensor:
     Args:
         inpt: a tensor, tv_tensor or PIL image.
         output_size: height and width, an int for both.
+
+    Returns:
+        The window, of the type of `inpt`.
+
+    Raises:
+        ValueError: the size has not the form in Args.
+
+    Example:
+        >>> import torch, kvision.tv.functional as F
+        >>> F.center_crop(torch.arange(9.0).reshape(1, 3, 3), 1)
+        tensor([[[4.]]])
     """
     size = _two("center_crop", "output_size", output_size)
     return crop(inpt, *_center(inpt.shape[-2], inpt.shape[-1], size), *size)
@@ -157,6 +193,17 @@ def five_crop(inpt: Tensor, size: int | Sequence[int]) -> tuple[Tensor, ...]:
     Args:
         inpt: a tensor, tv_tensor or PIL image.
         size: height and width, an int for both.
+
+    Returns:
+        A tuple of five windows, of the type of `inpt`.
+
+    Raises:
+        ValueError: the size has not the form in Args, or is larger than the image.
+
+    Example:
+        >>> import torch, kvision.tv.functional as F
+        >>> [x.item() for x in F.five_crop(torch.arange(9).reshape(1, 3, 3), 1)]
+        [0, 2, 6, 8, 4]
     """
     (h, w), (height, width) = _two("five_crop", "size", size), inpt.shape[-2:]
     if h > height or w > width:
@@ -173,6 +220,17 @@ def ten_crop(inpt: Tensor, size: int | Sequence[int], vertical_flip: bool = Fals
         inpt: a tensor, tv_tensor or PIL image.
         size: height and width, an int for both.
         vertical_flip: mirror the rows, not the columns.
+
+    Returns:
+        A tuple of ten windows, of the type of `inpt`.
+
+    Raises:
+        ValueError: the size has not the form in Args, or is larger than the image.
+
+    Example:
+        >>> import torch, kvision.tv.functional as F
+        >>> [x.item() for x in F.ten_crop(torch.arange(9).reshape(1, 3, 3), 1)]
+        [0, 2, 6, 8, 4, 2, 0, 8, 6, 4]
     """
     return five_crop(inpt, size) + five_crop(inpt.flip(-2 if vertical_flip else -1), size)
 
@@ -237,6 +295,17 @@ def resize(
         interpolation: 'nearest', 'nearest-exact', 'bilinear', 'bicubic' or 'lanczos', also as InterpolationMode or PIL's integer.
         max_size: the longest that the longer side may become where size is of the shorter one.
         antialias: where the image becomes smaller, average the pixels that a pixel of the result covers.
+
+    Returns:
+        What is given in the new size, of the same type.
+
+    Raises:
+        ValueError: the sizes or the interpolation are not as in Args.
+
+    Example:
+        >>> import torch, kvision.tv.functional as F
+        >>> F.resize(torch.ones(3, 8, 6), 3).shape
+        torch.Size([3, 4, 3])
     """
     mode: Any = interpolation_name("resize", interpolation)
     *leading, height, width = inpt.shape
@@ -302,6 +371,17 @@ def resized_crop(
         size: as in :func:`resize`.
         interpolation: as in :func:`resize`.
         antialias: as in :func:`resize`.
+
+    Returns:
+        The window in the new size, of the type of `inpt`.
+
+    Raises:
+        ValueError: the sizes or the interpolation are not as in Args.
+
+    Example:
+        >>> import torch, kvision.tv.functional as F
+        >>> F.resized_crop(torch.ones(3, 8, 6), 1, 2, 4, 3, [2, 5]).shape
+        torch.Size([3, 2, 5])
     """
     return resize(crop(inpt, top, left, height, width), size, interpolation, antialias=antialias)
 
@@ -342,6 +422,17 @@ def pad(inpt: Tensor, padding: int | Sequence[int], fill: Fill = None, padding_m
         padding: how many: an int; x and y; or left, top, right and bottom.
         fill: a number, or one of each channel; None for 0.
         padding_mode: 'constant', 'edge', 'reflect' or 'symmetric'.
+
+    Returns:
+        What is given with the border, of the same type.
+
+    Raises:
+        ValueError: the padding, the fill or the mode is not as in Args.
+
+    Example:
+        >>> import torch, kvision.tv.functional as F
+        >>> F.pad(torch.ones(1, 1, 2), [1, 0], fill=3)
+        tensor([[[3., 1., 1., 3.]]])
     """
     left, right, top, bottom = four_paddings(padding)
     _check.choice("pad", "padding_mode", padding_mode, PADDING_MODES)
@@ -502,6 +593,17 @@ def affine(
         interpolation: 'nearest' or 'bilinear', also as InterpolationMode or PIL's integer.
         fill: color of pixels from outside: a number, or one of each channel; None for 0.
         center: x and y of what stays, from the upper left corner; None for the center.
+
+    Returns:
+        What is given, of the same type and size.
+
+    Raises:
+        ValueError: a scale that is not above 0; an interpolation or a fill that is not as in Args.
+
+    Example:
+        >>> import torch, kvision.tv.functional as F
+        >>> F.affine(torch.tensor([[[1.0, 2.0, 3.0]]]), 0.0, [1, 0], 1.0, [0.0])
+        tensor([[[0., 1., 2.]]])
     """
     size = inpt.shape[-2], inpt.shape[-1]
     matrix = _matrix_of_affine(size, angle, translate, scale, shear, center)
@@ -546,6 +648,18 @@ def rotate(
         expand: enlarge the result to hold the rotated image.
         center: x and y of what stays, from the upper left corner; None for the center.
         fill: color of pixels from outside: a number, or one of each channel; None for 0.
+
+    Returns:
+        What is given, rotated, of the same type.
+
+    Raises:
+        ValueError: an interpolation or a fill that is not as in Args.
+
+    Example:
+        >>> import torch, kvision.tv.functional as F
+        >>> F.rotate(torch.tensor([[[1.0, 2.0], [3.0, 4.0]]]), 90)
+        tensor([[[2., 4.],
+                 [1., 3.]]])
     """
     height, width = inpt.shape[-2:]
     angle = angle % 360
@@ -609,6 +723,18 @@ def perspective(
         interpolation: 'nearest' or 'bilinear', also as InterpolationMode or PIL's integer.
         fill: color of pixels from outside: a number, or one of each channel; None for 0.
         coefficients: a to h of x = (a u + b v + c) / (g u + h v + 1), y = (d u + e v + f) / (g u + h v + 1), in place of points.
+
+    Returns:
+        What is given, of the same type and size.
+
+    Raises:
+        ValueError: not four points each, or eight coefficients; an interpolation or a fill that is not as in Args.
+
+    Example:
+        >>> import torch, kvision.tv.functional as F
+        >>> corners = [[0, 0], [5, 0], [5, 7], [0, 7]]
+        >>> F.perspective(torch.ones(3, 8, 6), corners, corners).shape
+        torch.Size([3, 8, 6])
     """
     size = inpt.shape[-2], inpt.shape[-1]
     matrix = _matrix_of_perspective(size, startpoints, endpoints, coefficients)
@@ -629,6 +755,17 @@ def elastic(inpt: Tensor, displacement: Tensor, interpolation: Mode = "bilinear"
         displacement: x and y of each pixel, (1, H, W, 2), as fractions of half the width and height.
         interpolation: 'nearest' or 'bilinear', also as InterpolationMode or PIL's integer.
         fill: color of pixels from outside: a number, or one of each channel; None for 0.
+
+    Returns:
+        What is given, of the same type and size.
+
+    Raises:
+        TypeCheckError, ValueError: the displacement, an interpolation or a fill is not as in Args.
+
+    Example:
+        >>> import torch, kvision.tv.functional as F
+        >>> F.elastic(torch.ones(3, 8, 6), torch.zeros(1, 8, 6, 2)).shape
+        torch.Size([3, 8, 6])
     """
     _check.shape("elastic", "displacement", displacement, 1, *inpt.shape[-2:], 2)
     return _elastic(inpt, displacement, interpolation, fill)

@@ -60,6 +60,17 @@ def to_dtype(inpt: Tensor, dtype: torch.dtype = torch.float32, scale: bool = Fal
         inpt: a tensor, tv_tensor or PIL image.
         dtype: the type.
         scale: white stays white: 255 of uint8 is 1 of float32.
+
+    Returns:
+        What is given, of the type.
+
+    Raises:
+        RuntimeError: the floating-point type of `inpt` has not all values of the type.
+
+    Example:
+        >>> import torch, kvision.tv.functional as F
+        >>> F.to_dtype(torch.tensor([[[51]]], dtype=torch.uint8), torch.float32, scale=True)
+        tensor([[[0.2000]]])
     """
     if inpt.dtype == dtype:
         return inpt
@@ -85,6 +96,14 @@ def convert_image_dtype(image: Tensor, dtype: torch.dtype = torch.float32) -> Te
     Args:
         image: a tensor, tv_tensor or PIL image.
         dtype: the type.
+
+    Returns:
+        The image, of the type.
+
+    Example:
+        >>> import torch, kvision.tv.functional as F
+        >>> F.convert_image_dtype(torch.tensor([[[51]]], dtype=torch.uint8))
+        tensor([[[0.2000]]])
     """
     return to_dtype(image, dtype, scale=True)
 
@@ -98,6 +117,17 @@ def gaussian_noise(inpt: Tensor, mean: float = 0.0, sigma: float = 0.1, clip: bo
         mean: of the noise, as a fraction of white.
         sigma: its standard deviation.
         clip: keep values between black and white; without it bytes wrap.
+
+    Returns:
+        What is given, of the same type and size.
+
+    Raises:
+        TypeCheckError, ValueError: no tensor of floating point or uint8; sigma is below 0.
+
+    Example:
+        >>> import torch, kvision.tv.functional as F
+        >>> F.gaussian_noise(torch.ones(3, 8, 6), sigma=0.0).mean()
+        tensor(1.)
     """
     if sigma < 0:
         raise ValueError(f"gaussian_noise: expected a sigma of at least 0, got {sigma}")
@@ -134,6 +164,14 @@ def erase(inpt: Tensor, i: int, j: int, h: int, w: int, v: Tensor, inplace: bool
         w: width.
         v: the value, which broadcasts to (C, h, w).
         inplace: write into the image.
+
+    Returns:
+        What is given, of the same type and size.
+
+    Example:
+        >>> import torch, kvision.tv.functional as F
+        >>> F.erase(torch.ones(1, 1, 3), 0, 1, 1, 1, torch.zeros(1))
+        tensor([[[1., 0., 1.]]])
     """
     output = inpt if inplace else inpt.clone()
     output[..., i : i + h, j : j + w] = v
@@ -157,6 +195,17 @@ def jpeg(image: Tensor, quality: int) -> Tensor:
     Args:
         image: a tensor, tv_tensor or PIL image.
         quality: 1 to 100.
+
+    Returns:
+        What is given, of the same type and size.
+
+    Raises:
+        TypeCheckError: not uint8 of 1 or 3 channels.
+
+    Example:
+        >>> import torch, kvision.tv.functional as F
+        >>> F.jpeg(torch.full((3, 8, 8), 128, dtype=torch.uint8), 90).shape
+        torch.Size([3, 8, 8])
     """
     if image.dtype != torch.uint8 or image.shape[-3] not in (1, 3):
         raise TypeCheckError(f"jpeg: expected uint8 of 1 or 3 channels, got {image.dtype} {tuple(image.shape)}")
@@ -179,6 +228,17 @@ def uniform_temporal_subsample(inpt: Tensor, num_samples: int) -> Tensor:
     Args:
         inpt: a tensor, tv_tensor or PIL image.
         num_samples: how many.
+
+    Returns:
+        The frames, of the type of `inpt`.
+
+    Raises:
+        ValueError: `inpt` is no video (*, T, C, H, W).
+
+    Example:
+        >>> import torch, kvision.tv.functional as F
+        >>> F.uniform_temporal_subsample(torch.arange(5.0).reshape(5, 1, 1, 1), 3).flatten()
+        tensor([0., 2., 4.])
     """
     if inpt.dim() < 4:
         raise ValueError(f"uniform_temporal_subsample: expected a video (*, T, C, H, W), got {tuple(inpt.shape)}")
@@ -190,7 +250,22 @@ def uniform_temporal_subsample(inpt: Tensor, num_samples: int) -> Tensor:
 
 
 def to_image(inpt: Any) -> Tensor:
-    """A tensor, an array (H, W, C) or (H, W), or a PIL image as tv_tensors.Image; a tensor where torchvision is missing."""
+    """A tensor, an array (H, W, C) or (H, W), or a PIL image as tv_tensors.Image; a tensor where torchvision is missing.
+
+    Args:
+        inpt: a tensor, an array or a PIL image.
+
+    Returns:
+        (C, H, W).
+
+    Raises:
+        TypeCheckError: `inpt` is none of these.
+
+    Example:
+        >>> import torch, kvision.tv.functional as F
+        >>> F.to_image(torch.ones(3, 4, 5)).shape
+        torch.Size([3, 4, 5])
+    """
     kind = kind_of(inpt)
     if kind == "pil":
         inpt = pil_to_tensor(inpt)
@@ -206,6 +281,14 @@ def get_dimensions(inpt: Any) -> list[int]:
 
     Args:
         inpt: a tensor, tv_tensor or PIL image.
+
+    Returns:
+        A list of the three.
+
+    Example:
+        >>> import torch, kvision.tv.functional as F
+        >>> F.get_dimensions(torch.ones(3, 4, 5))
+        [3, 4, 5]
     """
     return [channels_of(inpt), *height_and_width(inpt)]
 
@@ -215,6 +298,14 @@ def get_num_channels(inpt: Any) -> int:
 
     Args:
         inpt: a tensor, tv_tensor or PIL image.
+
+    Returns:
+        An int.
+
+    Example:
+        >>> import torch, kvision.tv.functional as F
+        >>> F.get_num_channels(torch.ones(3, 4, 5))
+        3
     """
     return channels_of(inpt)
 
@@ -224,6 +315,14 @@ def get_size(inpt: Any) -> list[int]:
 
     Args:
         inpt: a tensor, tv_tensor or PIL image.
+
+    Returns:
+        A list of the two.
+
+    Example:
+        >>> import torch, kvision.tv.functional as F
+        >>> F.get_size(torch.ones(3, 4, 5))
+        [4, 5]
     """
     return list(height_and_width(inpt))
 
@@ -233,6 +332,14 @@ def get_num_frames(inpt: Tensor) -> int:
 
     Args:
         inpt: a video.
+
+    Returns:
+        An int.
+
+    Example:
+        >>> import torch, kvision.tv.functional as F
+        >>> F.get_num_frames(torch.ones(7, 3, 4, 5))
+        7
     """
     return inpt.shape[-4]
 
@@ -242,6 +349,14 @@ def is_pure_tensor(inpt: Any) -> bool:
 
     Args:
         inpt: a tensor, tv_tensor or PIL image.
+
+    Returns:
+        A bool.
+
+    Example:
+        >>> import torch, kvision.tv.functional as F
+        >>> F.is_pure_tensor(torch.ones(3, 4, 5))
+        True
     """
     return kind_of(inpt) == "tensor"
 
@@ -255,6 +370,16 @@ def _of_torchvision(name: str) -> Callable[..., Any]:
         return getattr(v2, name)(*args, **kwargs)
 
     call.__name__ = call.__qualname__ = name
+    call.__doc__ = f"""torchvision's `{name}`.
+
+    Returns:
+        What torchvision's function returns.
+
+    Example:
+        >>> import kvision.tv.functional as F
+        >>> F.{name}.__name__
+        '{name}'
+    """
     return call
 
 

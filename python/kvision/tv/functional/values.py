@@ -100,6 +100,9 @@ def convert_image_dtype(image: Tensor, dtype: torch.dtype = torch.float32) -> Te
     Returns:
         The image, of the type.
 
+    Raises:
+        RuntimeError: as :func:`to_dtype`.
+
     Example:
         >>> import torch, kvision.tv.functional as F
         >>> F.convert_image_dtype(torch.tensor([[[51]]], dtype=torch.uint8))

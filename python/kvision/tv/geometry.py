@@ -373,7 +373,8 @@ class RandomCrop(Transform):
         self._sides = four_paddings(self.padding) if self.padding else [0] * 4
 
     def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
-        size, crop, (left, right, top, bottom) = size_of(flat_inputs), self._size(), self._sides
+        crop: Any = self.size
+        size, (left, right, top, bottom) = size_of(flat_inputs), self._sides
         missing = [max(c - n - p, 0) for c, n, p in zip(crop, size, (top + bottom, left + right))]
         if any(missing) and not self.pad_if_needed:
             raise ValueError(f"RandomCrop: expected images of at least {crop} with their padding, got {size}")
@@ -386,14 +387,10 @@ class RandomCrop(Transform):
         if any(params["padding"]):
             fill = fill_of(self.fill, inpt)
             inpt = self._call_kernel(F.pad, inpt, params["padding"], fill=fill, padding_mode=self.padding_mode)
-        return (
-            inpt
-            if not params["crops"]
-            else self._call_kernel(F.crop, inpt, params["top"], params["left"], *self._size())
-        )
-
-    def _size(self) -> tuple[int, int]:
-        return argument.two("RandomCrop", "size", self.size)
+        if params["crops"]:
+            height, width = self.size  # type: ignore[misc]  # both by now
+            inpt = self._call_kernel(F.crop, inpt, params["top"], params["left"], height, width)
+        return inpt
 
 
 class RandomRotation(Transform, function=F.rotate):

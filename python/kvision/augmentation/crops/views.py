@@ -103,8 +103,8 @@ class TenCrop(FiveCrop):
 class MultiCrop(nn.Module):
     """Cut several windows out of every image, large and small ones, and resize them: the views of self-supervised training.
 
-    The windows of all views of every sample are drawn together, as those of :class:`RandomResizedCrop`, and each view is a resampling
-    of the images, which are not copied for it. Edges of windows go to edges of views.
+    The windows of all views of every sample are drawn together, as those of :class:`RandomResizedCrop`, and each view is a
+    resampling of the images, which are not copied for it. Edges of windows go to edges of views.
 
     Args:
         global_size: height and width of large views; an int for both.

@@ -254,14 +254,12 @@ def apply_calls(x: Any, calls: list[list[Any]]) -> Any:
                 by_function.setdefault(call[0], []).append(i)
         source, is_copy = x, False
         for function, chosen in by_function.items():
-            is_neutral = function.neutral is not None and source.is_cuda and kind_of(source) in ("tensor", "image")
-            if len(chosen) == len(source) or is_neutral:  # which takes fewer launches
-                others = ((), function.neutral)
-                x = function.of_each(x, [call[1] if call and call[0] is function else others for call in turn])
-                is_copy = False  # for all we know
+            arguments = [turn[i][1] for i in chosen]
+            if len(chosen) == len(source):
+                x = function.of_each(source, arguments)
                 continue
             index = on_device(chosen, source.device)
-            part = function.of_each(at(source, index), [turn[i][1] for i in chosen])
+            part = function.of_each(at(source, index), arguments)
             target = plain(x) if is_copy else plain(x).clone()
             x, is_copy = wrap(target.index_copy_(0, index, plain(part)), source), True
     return x

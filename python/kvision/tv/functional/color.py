@@ -125,7 +125,7 @@ def _scaled(x: Tensor, factor: float) -> Tensor:
     return shaped(scale_shift(as_batch(x), factor, truncated(x), True), x)
 
 
-@functional(each=_each(_scaled, "brightness_factor"), neutral={"brightness_factor": 1.0})
+@functional(each=_each(_scaled, "brightness_factor"))
 def adjust_brightness(inpt: Tensor, brightness_factor: float) -> Tensor:
     """Multiply an image by a factor, clamped to black and white.
 
@@ -164,7 +164,7 @@ def _blended(x: Tensor, factor: Tensor) -> Tensor:
     return (x * factor + _gray(x) * (1 - factor)).clamp_(0, largest(x.dtype)).to(x.dtype)
 
 
-@functional(each=_each(_of_colors(_blended), "saturation_factor"), neutral={"saturation_factor": 1.0})
+@functional(each=_each(_of_colors(_blended), "saturation_factor"))
 def adjust_saturation(inpt: Tensor, saturation_factor: float) -> Tensor:
     """Interpolate between an image and its gray, or extrapolate.
 
@@ -195,7 +195,7 @@ def _around_mean(x: Tensor, factor: float) -> Tensor:
     return shaped(scale_shift(batch, factor, mean * ((1 - factor) / largest(x.dtype)) + truncated(x), True), x)
 
 
-@functional(each=_each(_around_mean, "contrast_factor"), neutral={"contrast_factor": 1.0})
+@functional(each=_each(_around_mean, "contrast_factor"))
 def adjust_contrast(inpt: Tensor, contrast_factor: float) -> Tensor:
     """Interpolate between an image and the mean of its gray, or extrapolate.
 
@@ -229,7 +229,7 @@ def _rotated_hue(x: Tensor, turns: float) -> Tensor:
     return _program(x, *steps, *([("scale_shift", _TO_LEVELS)] if x.dtype == torch.uint8 else []))
 
 
-@functional(each=_each(_of_colors(_rotated_hue), "hue_factor", -0.5, 0.5), neutral={"hue_factor": 0.0})
+@functional(each=_each(_of_colors(_rotated_hue), "hue_factor", -0.5, 0.5))
 def adjust_hue(inpt: Tensor, hue_factor: float) -> Tensor:
     """Rotate the hue of an RGB image; gray images stay.
 
@@ -284,9 +284,7 @@ def adjust_gamma(inpt: Tensor, gamma: float, gain: float = 1) -> Tensor:
 _sharpened = of_all_types(sharpness)
 
 
-@functional(
-    each=_each(lambda x, factor: _sharpened(x, factor[:, 0, 0]), "sharpness_factor"), neutral={"sharpness_factor": 1.0}
-)
+@functional(each=_each(lambda x, factor: _sharpened(x, factor[:, 0, 0]), "sharpness_factor"))
 def adjust_sharpness(inpt: Tensor, sharpness_factor: float) -> Tensor:
     """Interpolate between an image and its smoothed copy, or extrapolate; the border stays.
 

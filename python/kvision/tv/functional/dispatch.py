@@ -23,14 +23,12 @@ def functional(
     pil: Callable[..., Any] | None = None,
     mask: Callable[..., Any] | str | None = None,
     each: Callable[[Any, list[dict[str, Any]]], Any] | None = None,
-    neutral: dict[str, float] | None = None,
 ) -> Callable[[Callable[..., Any]], Any]:
     """Make a public function of a kernel, which takes a tensor (*, C, H, W) and v2's arguments.
 
     `moves` says that masks, boxes and key points follow; `mask` is the kernel of masks where it is another, or "nearest" for that
     interpolation. `pil` is a function of PIL images with the same values; NotImplemented says that they differ for some arguments.
     `each` is the kernel of images (B, C, H, W) with arguments of each; NotImplemented says that it has none for some.
-    `neutral` are arguments by which nothing changes, so that the kernel of each serves batches of which some stay.
     Boxes and key points are torchvision's: their classes exist only where it is loaded, and its functions are public.
     """
 
@@ -63,7 +61,6 @@ def functional(
             raise TypeCheckError(f"{name}: expected an image, a video or a PIL image, got {type(inpt).__name__}")
 
         call.kinds = IMAGES | {"mask"} | LABELS if moves else IMAGES  # type: ignore[attr-defined]
-        call.neutral = neutral  # type: ignore[attr-defined]
         call.of_each = functools.partial(_of_each, call, each, mask, parameters)  # type: ignore[attr-defined]
         return call
 
@@ -101,8 +98,7 @@ def _are_equal(a: Any, b: Any) -> bool:
 
 def on_device(values: Any, device: torch.device) -> Tensor:
     """Numbers on a device, without waiting for it."""
-    numbers = torch.as_tensor(values, device="cpu")
-    return numbers.pin_memory().to(device, non_blocking=True) if device.type == "cuda" else numbers.to(device)
+    return torch.as_tensor(values, device="cpu").to(device, non_blocking=True)
 
 
 def takes(function: Callable[..., Any], x: Any) -> bool:

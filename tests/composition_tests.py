@@ -138,9 +138,8 @@ class CompositionTests:
         assert_close(case.call(*values), expected)
 
     @pytest.mark.interface
+    @pytest.mark.gpu
     def test_cuda_graph(self, case, device):
-        if device.type != "cuda":
-            pytest.skip("needs --device cuda")
         values = self.values(case, device, torch.float32)
         side = torch.cuda.Stream()
         with torch.cuda.stream(side):

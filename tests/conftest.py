@@ -18,6 +18,9 @@ if "PYTEST_XDIST_WORKER" in os.environ:
 # torch keys cached graphs by operator names, so it would reuse graphs from before a schema or gradient changed.
 os.environ["TORCHINDUCTOR_FX_GRAPH_CACHE"] = os.environ["TORCHINDUCTOR_AUTOGRAD_CACHE"] = "0"
 
+# Pictures here are small. Corrupted ones may claim a billion pixels, for which OpenCV would spend seconds on memory.
+os.environ["OPENCV_IO_MAX_IMAGE_PIXELS"] = str(1 << 24)
+
 import hypothesis
 import pytest
 import torch
@@ -129,6 +132,9 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         words = f"{item.path.stem}_{item.name.partition('[')[0]}".split("_")
         if any(word.startswith(PEERS) for word in words):
             item.add_marker(pytest.mark.peers)
+    if config.option.device == "cpu":
+        config.hook.pytest_deselected(items=[item for item in items if item.get_closest_marker("gpu")])
+        items[:] = [item for item in items if not item.get_closest_marker("gpu")]
     left = {
         item
         for marker, _, count in (option.partition("=") for option in config.option.thin)

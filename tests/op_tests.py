@@ -46,6 +46,7 @@ TOLERANCES = {
 # Tolerance of parameter gradients, float32 sums of thousands of products, relative to the largest result.
 PARAMETER_TOLERANCE = 1e-4
 
+INSTRUCTION_SETS = ("baseline", "avx2", "avx512")
 LAYOUTS = ("contiguous", "channels_last", "row_slice", "column_slice", "transposed", "expanded", "misaligned")
 
 FAKE_LAYOUTS = ("contiguous", "channels_last", "row_slice", "transposed")
@@ -98,6 +99,15 @@ def does_not_wait(device: torch.device, calls: Sequence[Callable[[], Any]]) -> N
             call()
     finally:
         torch.cuda.set_sync_debug_mode("default")
+
+
+@contextlib.contextmanager
+def named(case: str) -> Iterator[None]:
+    """Say of a comparison that fails inside the block which case of a test it is."""
+    try:
+        yield
+    except AssertionError as error:
+        raise AssertionError(f"{case}: {error}") from error
 
 
 @contextlib.contextmanager
@@ -231,18 +241,18 @@ class OpTests:
         for y, z in zip(result, expected, strict=True):
             assert_close(y, z.round().to(torch.int32) if y.dtype == torch.int32 else z)
 
-    @pytest.mark.parametrize("layout", LAYOUTS)
-    def test_layout(self, variant, layout, device):
+    def test_layout(self, variant, device):
         x, kwargs = self.setup(variant, device, torch.float32)
         if x.dim() != 4:
             pytest.skip("layouts are of images")
-        if layout == "expanded":
-            x = x[:1].expand_as(x).contiguous()
-        strided = with_layout(x, layout)
-        output = self.call(strided, kwargs)
-        self.check(output, self.call(x, kwargs))
-        if layout == "channels_last" and x.shape[1] > 1 and as_tuple(output)[0].dim() == 4:
-            assert as_tuple(output)[0].is_contiguous(memory_format=torch.channels_last)
+        same = x[:1].expand_as(x).contiguous()  # what images expanded from one hold
+        expected, of_same = self.call(x, kwargs), self.call(same, kwargs)
+        for layout in LAYOUTS:
+            with named(layout):
+                output = self.call(with_layout(x, layout), kwargs)
+                self.check(output, of_same if layout == "expanded" else expected)
+                if layout == "channels_last" and x.shape[1] > 1 and as_tuple(output)[0].dim() == 4:
+                    assert as_tuple(output)[0].is_contiguous(memory_format=torch.channels_last)
 
     @pytest.mark.sweep
     def test_all_small_sizes(self, variant, sizes, device):
@@ -261,12 +271,10 @@ class OpTests:
                         self.call(x, kwargs)
                     continue
                 ran += 1
-                try:
+                with named(f"{h} x {w}"):
                     self.check(self.call(x, kwargs), expected)
                     if self.differentiable:
                         self.check_gradients(x, kwargs)
-                except AssertionError as error:
-                    raise AssertionError(f"at {h} x {w}: {error}") from error
         assert ran > (self.max_size if sizes == "all" else 0)
 
     @pytest.mark.parametrize("shape", [(0, 3), (2, 0)], ids=["no images", "no channels"])
@@ -309,18 +317,27 @@ class OpTests:
 
     @pytest.mark.native
     @pytest.mark.instruction_sets
-    @pytest.mark.parametrize("isa", ["baseline", "avx2", "avx512"])
-    def test_instruction_sets(self, variant, isa, device, backend):
+    def test_instruction_sets(self, variant, device, backend):
+        """Values and gradients with each that the library and the processor have."""
         self.needs_native(backend)
         if device.type != "cpu":
             pytest.skip("instruction sets are the CPU's")
-        with instruction_set(isa):
-            for dtype in _ops.FLOATS + ((torch.uint8,) if self.bytes else ()):
-                x, kwargs = self.setup(variant, device, dtype)
-                self.check(self.call(x, kwargs), self.expected(x, kwargs))
-            if self.differentiable:
-                x, kwargs = self.setup(variant, device, torch.float32)
-                self.check_gradients(x, kwargs)
+        from kvision import _C
+
+        calls, gradients = [], None
+        for dtype in _ops.FLOATS + ((torch.uint8,) if self.bytes else ()):
+            x, kwargs = self.setup(variant, device, dtype)
+            calls.append((x, kwargs, self.expected(x, kwargs)))
+        of_gradients = self.setup(variant, device, torch.float32)
+        if self.differentiable:
+            gradients = self.expected_gradients(*of_gradients)
+        for isa in filter(_C.isa_supported, INSTRUCTION_SETS):
+            with instruction_set(isa), named(isa):
+                for x, kwargs, expected in calls:
+                    with named(str(x.dtype)):
+                        self.check(self.call(x, kwargs), expected)
+                if gradients is not None:
+                    self.check_gradients(*of_gradients, gradients)
 
     @pytest.mark.native
     def test_threads_and_runs_give_the_same_bits(self, variant, device, backend):
@@ -400,13 +417,19 @@ class OpTests:
 
     # --- gradients ---
 
-    def check_gradients(self, x: Tensor, kwargs: dict[str, Any]) -> None:
-        """Gradients in x's type against the reference's in float64."""
+    def expected_gradients(self, x: Tensor, kwargs: dict[str, Any]) -> tuple[list[Tensor], list[Tensor]]:
+        """Weights of the results, and the reference's gradients of their weighted sum, in float64."""
         wide = {k: v.double() if isinstance(v, Tensor) and v.is_floating_point() else v for k, v in kwargs.items()}
         with K.backend("reference"):
             outputs = as_tuple(self.call(x.double(), wide))
             weights = [torch.rand_like(o) - 0.3 for o in outputs]
-            expected = self.gradients(x.double(), wide, weights)
+            return weights, self.gradients(x.double(), wide, weights)
+
+    def check_gradients(
+        self, x: Tensor, kwargs: dict[str, Any], known: tuple[list[Tensor], list[Tensor]] | None = None
+    ) -> None:
+        """Gradients in x's type against the reference's, which may be known."""
+        weights, expected = self.expected_gradients(x, kwargs) if known is None else known
         actual = self.gradients(x, kwargs, [w.to(x.dtype) for w in weights])
         for i, (a, e) in enumerate(zip(actual, expected, strict=True)):
             rtol, atol = self.tolerances.get(a.dtype, TOLERANCES[a.dtype])
@@ -420,11 +443,13 @@ class OpTests:
             pytest.skip("not differentiable")
 
     @pytest.mark.native
-    @pytest.mark.parametrize("layout", ["contiguous", "channels_last", "row_slice"])
-    def test_gradient_against_reference(self, variant, layout, device):
+    def test_gradient_against_reference(self, variant, device):
         self.needs_gradient()
         x, kwargs = self.setup(variant, device, torch.float32)
-        self.check_gradients(with_layout(x, layout) if x.dim() == 4 else x, kwargs)
+        expected = self.expected_gradients(x, kwargs)
+        for layout in ("contiguous", "channels_last", "row_slice") if x.dim() == 4 else ("contiguous",):
+            with named(layout):
+                self.check_gradients(with_layout(x, layout), kwargs, expected)
 
     @pytest.mark.native
     def test_gradient_at_ties_and_bounds(self, variant, device):
@@ -615,9 +640,8 @@ class OpTests:
                 assert_close(a.grad, b.grad, *self.tolerances.get(torch.float32, (None, None)))
 
     @pytest.mark.interface
+    @pytest.mark.gpu
     def test_cuda_graph(self, variant, device):
-        if device.type != "cuda":
-            pytest.skip("needs --device cuda")
         x, kwargs = self.setup(variant, device, torch.float32)
         x.requires_grad_(self.differentiable)
 
@@ -641,10 +665,9 @@ class OpTests:
         assert_close(tuple(c.detach() for c in captured), tuple(e.detach() for e in step()))
 
     @pytest.mark.interface
+    @pytest.mark.gpu
     def test_current_stream(self, variant, device):
         """Kernels wait for earlier work on the current stream, and for no other work."""
-        if device.type != "cuda":
-            pytest.skip("needs --device cuda")
         x, kwargs = self.setup(variant, device, torch.float32)
         expected = self.call(x, kwargs)
         late = torch.zeros_like(x)

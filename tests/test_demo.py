@@ -83,8 +83,10 @@ def test_says_which_backend_served(photos, tmp_path, capsys):
     assert "native" not in printed and printed.count("reference") == len(OPERATORS) + 1
 
 
-def test_takes_sample_photographs_by_default(tmp_path, capsys):
+def test_takes_sample_photographs_by_default(tmp_path, capsys, monkeypatch):
     pytest.importorskip("skimage")
+    monkeypatch.setattr(demo, "SAMPLES", demo.SAMPLES[:1])
+    monkeypatch.setattr(demo, "STEPS", 1)
     assert demo.main(["--out", str(tmp_path)]) == 0
     assert (tmp_path / "1_astronaut_canny.png").exists()
 

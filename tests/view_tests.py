@@ -113,9 +113,8 @@ class ViewTests(CompositionTests):
         with NoSolvers():
             self.derivatives(case, self.values(case, device))
 
+    @pytest.mark.gpu
     def test_cuda_graph_of_derivatives(self, case, device):
-        if device.type != "cuda":
-            pytest.skip("needs --device cuda")
         values = self.values(case, device)
         with torch.cuda.stream(torch.cuda.Stream()):
             self.derivatives(case, values)

@@ -8,6 +8,15 @@ import pytest
 
 import kvision.augmentation as A
 from benchmarks import augmentation_bars, augmentation_table, corruptions, inputs, results
+from benchmarks.timing import Clock, CpuClock
+
+
+@pytest.fixture(autouse=True)
+def quick_clock(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One round with one timed call; the copies that measure the bandwidth of memory would take seconds."""
+    monkeypatch.setattr(Clock.__init__, "__defaults__", (0.0, 1))
+    monkeypatch.setattr(Clock, "min_calls", 1)
+    monkeypatch.setattr(CpuClock, "copy_bandwidth", lambda self: 1e10)
 
 
 def test_table_by_size_and_batch(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -34,7 +43,6 @@ def test_corruptions(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixt
     """Rows by parts of names; classes and common corruptions have them, and those with a reason are among them."""
     for name, value in (("CPU_BATCH", 1), ("SIDE", 48)):
         monkeypatch.setattr(corruptions, name, value)
-    monkeypatch.setattr("benchmarks.timing.CpuClock.copy_bandwidth", lambda self: 1e10)
     assert corruptions.main(["Grid", "contrast", "--device", "cpu", "--seconds", "0"]) == 0
     rows = [line.split()[0] for line in capsys.readouterr().out.splitlines()[3:]]
     assert rows == ["GridDropout", "GridMask", "GridDistortion", "contrast"]

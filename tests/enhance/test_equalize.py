@@ -71,7 +71,7 @@ class TestEqualize(LevelTests):
     @pytest.mark.native
     @pytest.mark.large
     @pytest.mark.parametrize("size", [(256, 256), (301, 333), (700, 320)], ids=str)
-    @pytest.mark.parametrize("planes", [1, 70])
+    @pytest.mark.parametrize("planes", [1, 3, pytest.param(70, marks=pytest.mark.gpu)])
     def test_large_planes(self, size, planes, device):
         """One block a plane or several, in packs or not; with flat and NaN planes among them."""
         x = torch.rand(planes, 1, *size, device=device) ** 3

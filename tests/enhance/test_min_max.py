@@ -35,7 +35,7 @@ class TestNormalizeMinMax(OpTests):
     @pytest.mark.native
     @pytest.mark.large
     @pytest.mark.parametrize("size", [(256, 256), (301, 333)], ids=str)
-    @pytest.mark.parametrize("planes", [1, 70])
+    @pytest.mark.parametrize("planes", [1, pytest.param(70, marks=pytest.mark.gpu)])
     def test_large_planes(self, size, planes, device):
         """Planes of one chunk or several, of whole vectors or not; flat and NaN planes, and ties, are among them."""
         x = (torch.rand(planes + 2, 1, *size, device=device) * 300).round() / 255

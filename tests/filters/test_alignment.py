@@ -52,7 +52,9 @@ def test_slices_give_the_same_bits(window, before, after, dtype, device):
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float16], ids=str)
-@pytest.mark.parametrize("width", [129, 142, 257, 270, 299, 481, 513, 514, 517])
+@pytest.mark.parametrize(
+    "width", [129, 257, 513, *(pytest.param(n, marks=pytest.mark.gpu) for n in (142, 270, 299, 481, 514, 517))]
+)
 @windows
 def test_odd_widths(window, width, dtype, device):
     """Far from the right border they agree with a wider image, near it with the reference."""
@@ -78,7 +80,7 @@ def test_odd_widths(window, width, dtype, device):
         torch.testing.assert_close(gradient.float(), expected_gradient, atol=5 * atol, rtol=5 * atol)
 
 
-@pytest.mark.parametrize("width", [257, 513])
+@pytest.mark.parametrize("width", [257, pytest.param(513, marks=pytest.mark.gpu)])
 @pytest.mark.parametrize("before", [0, 1, 2, 3])
 @pytest.mark.parametrize("kernel_size", [3, 5, 11, 31])
 def test_bytes(kernel_size, before, width, device):

@@ -63,7 +63,7 @@ class TestFilter2d(OpTests):
     @pytest.mark.parametrize("size", [(1, 1), (3, 3), (5, 5), (6, 3), (7, 7), (15, 8), (31, 31)])
     def test_values_and_gradients(self, size, border, padding, device):
         """Large and small kernels on images that take the fast paths of the GPU, those of one block and larger ones."""
-        for shape in [(2, 2, 40, 36), (1, 1, 33, 41), (1, 2, 70, 264)]:
+        for shape in [(2, 2, 40, 36), (1, 1, 33, 41), *[(1, 2, 70, 264)] * (device.type == "cuda")]:
             x = torch.rand(shape, device=device)
             weights = torch.rand(shape[0], *size, device=device) - 0.5
             kwargs = {"kernel": weights, "border_type": border, "padding": padding}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 import re
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
@@ -15,7 +16,8 @@ TABLE = {
 }
 
 
-def imported(path: Path) -> set[str]:
+@functools.cache
+def imported(path: Path) -> frozenset[str]:
     """The modules of kvision that a file imports, at its top or in its functions, without those for types alone."""
     tree = ast.parse(path.read_text())
     unread = {
@@ -28,7 +30,7 @@ def imported(path: Path) -> set[str]:
     for node in ast.walk(tree):
         if isinstance(node, ast.ImportFrom) and node.module and node not in unread:
             names |= {f"{node.module}.{alias.name}" for alias in node.names} | {node.module}
-    return {name for name in names if name.startswith("kvision.")}
+    return frozenset(name for name in names if name.startswith("kvision."))
 
 
 def modules() -> dict[str, Path]:

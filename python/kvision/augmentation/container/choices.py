@@ -49,24 +49,6 @@ class OneOf(ChoiceBase):
 
     children_are_certain = True
 
-    def __init__(
-        self,
-        *children: Any,
-        p: float = 1.0,
-        same_on_batch: bool | None = None,
-        keepdim: bool | None = None,
-        generator: Generator | None = None,
-        return_transform: bool | None = None,
-    ) -> None:
-        own: dict[str, Any] = {"p": p}
-        options: dict[str, Any] = {
-            "same_on_batch": same_on_batch,
-            "keepdim": keepdim,
-            "return_transform": return_transform,
-        }
-        super().__init__(*positional("OneOf", children, ("p",), own), **own, **options, generator=generator)
-        self._keep_arguments(**own, **options, generator=generator)
-
     def _draws(self) -> list[Draw]:
         return [uniform(0.0, 1.0)]
 
@@ -147,6 +129,8 @@ class SomeOf(ChoiceBase):
         tensor([[[[0.7500, 1.0000]]]])
     """
 
+    _positional = ("n", "replace", "p")
+
     def __init__(
         self,
         *children: Any,
@@ -160,13 +144,14 @@ class SomeOf(ChoiceBase):
         return_transform: bool | None = None,
     ) -> None:
         own: dict[str, Any] = {"n": n, "replace": replace, "p": p}
-        modules = positional("SomeOf", children, ("n", "replace", "p"), own)
+        modules = positional("SomeOf", children, self._positional, own)
         options: dict[str, Any] = {
             "same_on_batch": same_on_batch,
             "keepdim": keepdim,
             "return_transform": return_transform,
+            "generator": generator,
         }
-        super().__init__(*modules, p=own["p"], **options, generator=generator)
+        super().__init__(*modules, p=own["p"], **options)
         low, high = _check.ints("SomeOf", "n", own["n"], 2, minimum=0)
         self.replace, self.order = (
             _check.switch("SomeOf", "replace", own["replace"]),
@@ -178,7 +163,7 @@ class SomeOf(ChoiceBase):
                 f"SomeOf: expected n to be a number or the lowest and the highest{bound}, got {own['n']}"
             )
         self.n = (low, high)
-        self._keep_arguments(**own, order=order, **options, generator=generator)
+        self._keep_arguments(**own, order=order, **options)
 
     def extra_repr(self) -> str:
         return f"n={self.n}, replace={self.replace}, order={self.order}, p={self.p}"
@@ -218,23 +203,7 @@ class RandomOrder(ChoiceBase):
         tensor([0.0000, 0.5000, 0.5000, 0.0000])
     """
 
-    def __init__(
-        self,
-        *children: Any,
-        p: float = 1.0,
-        same_on_batch: bool | None = None,
-        keepdim: bool | None = None,
-        generator: Generator | None = None,
-        return_transform: bool | None = None,
-    ) -> None:
-        own: dict[str, Any] = {"p": p}
-        options: dict[str, Any] = {
-            "same_on_batch": same_on_batch,
-            "keepdim": keepdim,
-            "return_transform": return_transform,
-        }
-        super().__init__(*positional("RandomOrder", children, (), own), **own, **options, generator=generator)
-        self._keep_arguments(**own, **options, generator=generator)
+    _positional = ()
 
     def _draws(self) -> list[Draw]:
         return [Draw("permutation", (len(self), 0, 1))]
@@ -276,14 +245,14 @@ class RandomApply(ChoiceBase):
         generator: Generator | None = None,
         return_transform: bool | None = None,
     ) -> None:
-        own: dict[str, Any] = {"p": p}
-        options: dict[str, Any] = {
-            "same_on_batch": same_on_batch,
-            "keepdim": keepdim,
-            "return_transform": return_transform,
-        }
-        super().__init__(*positional("RandomApply", children, ("p",), own), **own, **options, generator=generator)
-        self._keep_arguments(**own, **options, generator=generator)
+        super().__init__(
+            *children,
+            p=p,
+            same_on_batch=same_on_batch,
+            keepdim=keepdim,
+            generator=generator,
+            return_transform=return_transform,
+        )
 
     def _sequences_of(self, drawn: Sequence[Sequence[float]]) -> list[tuple[int, ...]]:
         return [(0,)] * len(drawn)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from torch import Generator, Tensor, nn
@@ -38,6 +38,7 @@ class ChoiceBase(ImageSequential):
     """
 
     chooses_for_samples = _draws_choices = True
+    _positional: ClassVar[tuple[str, ...]] = ("p",)  # settings that may follow a list of children
     children_are_certain = False  # a chosen child is executed, whatever its own p says
 
     def __init__(
@@ -49,11 +50,18 @@ class ChoiceBase(ImageSequential):
         generator: Generator | None = None,
         return_transform: bool | None = None,
     ) -> None:
-        options = {"keepdim": keepdim, "generator": generator, "return_transform": return_transform}
-        super().__init__(*children, same_on_batch=same_on_batch, **options)  # type: ignore[arg-type]
-        op = type(self).__name__
-        self.p = _check.fraction(op, "p", p)
-        if not children:
+        op, own = type(self).__name__, {"p": p}
+        modules = positional(op, children, self._positional, own)
+        options: dict[str, Any] = {
+            "same_on_batch": same_on_batch,
+            "keepdim": keepdim,
+            "return_transform": return_transform,
+            "generator": generator,
+        }
+        super().__init__(*modules, **options)
+        self.p = _check.fraction(op, "p", own["p"])
+        self._keep_arguments(**own, **options)
+        if not modules:
             raise ValueCheckError(f"{op}: expected at least one child")
         for module in self.modules():
             if getattr(module, "mixes_samples", False):

@@ -79,6 +79,7 @@ resized_windows = register(
     _reference,
     fake=_size,
     gradients="input: resize_windows_backward(size=sizes(input))",
+    linear=True,
     bytes=True,
     supports=_supports,
 )
@@ -87,5 +88,6 @@ resized_windows_backward = register(
     _reference_backward,
     fake=_size,
     gradients="grad: resize_windows(input=grad_grad, size=sizes(grad))",
+    linear=True,
     supports=_supports,
 )

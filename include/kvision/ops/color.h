@@ -18,7 +18,7 @@ inline variable_list raw_to_rgb_backward_gradients(Backward const& b);
 inline constexpr Operator<"apply_colormap", Tensor(Tensor input, Tensor white, Tensor colors)> apply_colormap{
     detail::rules::apply_colormap};
 
-// --- color/frames/coded_frames_op.cpp
+// --- color/frames/frames_coded_op.cpp
 
 inline constexpr Operator<"coded_frames", Tensor(Tensor input, Ints plan, Floats numbers)> coded_frames{no_gradient};
 

@@ -14,7 +14,7 @@ from kvision.augmentation.draws import integer, mixed_words
 from kvision.augmentation.engine import Execution, Params, replaying
 from kvision.augmentation.keys import Seed
 from kvision.augmentation.labels import parse_data_keys
-from kvision.augmentation.mixing import MixAugmentationBaseV2
+from kvision.augmentation.mixing.mix import MixAugmentationBaseV2
 from kvision.augmentation.random_generator.base import RandomGeneratorBase, Shape
 from kvision.augmentation.samples import per_sample
 from kvision.constants import DataKey, DataKeys

@@ -1,6 +1,6 @@
 // RGB to the codes of video frames on CUDA: a thread takes four adjacent columns of a row of chroma, and its rows of
 // luma.
-#include "coded_frames.h"
+#include "frames_coded.h"
 #include "core/launch.cuh"
 
 namespace kv::color::cuda {

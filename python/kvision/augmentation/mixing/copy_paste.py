@@ -15,7 +15,7 @@ from kvision.augmentation.keys import Seed
 from kvision.augmentation.labels import BOX_FORMATS
 from kvision.augmentation.random_generator.base import RandomGeneratorBase, Shape
 from kvision.augmentation.random_generator.windows import random_numbers
-from kvision.augmentation.transplantation import MaskMixBase
+from kvision.augmentation.mixing.transplantation import MaskMixBase
 from kvision.constants import DataKey, DataKeys
 from kvision.core.exceptions import ShapeError, ValueCheckError
 from kvision.filters.smoothing.gaussian import gaussian_blur2d

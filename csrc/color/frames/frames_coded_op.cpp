@@ -1,5 +1,5 @@
 // RGB to the codes of video frames: schema and entry, for CPU and CUDA.
-#include "coded_frames.h"
+#include "frames_coded.h"
 #include "glue/glue.h"
 
 namespace kv::color {

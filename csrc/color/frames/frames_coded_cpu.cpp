@@ -1,6 +1,6 @@
 // RGB to the codes of video frames on the CPU: a row of chroma at a time, with its rows of luma. Compiled once per
 // instruction set.
-#include "coded_frames.h"
+#include "frames_coded.h"
 #include "core/lanes.h"
 #include "core/scratch.h"
 

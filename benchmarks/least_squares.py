@@ -2,6 +2,7 @@
 
     pip install --no-deps --target FOLDER pypose==0.9.5
     python -m benchmarks.least_squares --peers FOLDER
+    python -m benchmarks.least_squares --device cuda     1,000 poses, bundles of 31,843 observations, 1,000 poses by RANSAC
 
 All solvers start alike and take ten steps of Levenberg and Marquardt's method. PyPose's has one damping for everything that it is
 given and a dense Jacobian of all parameters, so it solves poses one after another. Costs are half the sum of squared errors in
@@ -14,6 +15,7 @@ import argparse
 import sys
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +24,7 @@ from torch import Tensor
 
 from benchmarks import machine
 from benchmarks.peers import set_threads
+from kvision.geometry import solve_pnp_ransac
 from kvision.geometry.liegroup import Se3
 from kvision.geometry.optim import ReprojectionError, least_squares
 
@@ -137,6 +140,69 @@ class Bundle:
         return fit
 
 
+# --- large problems --------------------------------------------------------------------------------------------------
+
+
+def milliseconds(call: Callable[[], Any], device: torch.device) -> float:
+    """The median of five calls, each to its end."""
+
+    def timed() -> float:
+        start = time.perf_counter()
+        call()
+        if device.type == "cuda":
+            torch.cuda.synchronize()
+        return 1e3 * (time.perf_counter() - start)
+
+    timed()
+    return sorted(timed() for _ in range(5))[2]
+
+
+def bundle_of(cameras: int, count: int, observations: int, like: Tensor) -> tuple[ReprojectionError, dict[str, Any]]:
+    """The error of a bundle, and the other arguments; each of `count` points is seen from some neighboring cameras."""
+    point = torch.arange(observations) * count // observations
+    camera = (point * cameras // count + torch.arange(observations)) % cameras
+    truth, X = motions(1, cameras, scale=0.2, seed=0), points(1, count, seed=1)
+    pixels = projected(truth[:, camera], X[:, point], 2)
+    start = (motions(1, cameras, scale=0.01, seed=3) * truth).requires_grad_(False)
+    options: dict[str, Any] = {
+        "variables": {"pose": start.to(like), "points": X.to(like)},
+        "index": {"pose": camera.to(like.device), "points": point.to(like.device)},
+        "eliminate": "points",
+    }
+    return ReprojectionError(pixels.to(like), CAMERA.to(like)), options
+
+
+def large(device: torch.device) -> None:
+    """Times of problems whose bars are for one GPU, without their first call."""
+    like = torch.empty(0, device=device)
+    endless: dict[str, Any] = {"gradient": "none", **dict.fromkeys(("ftol", "xtol", "gtol"), 0.0)}
+    truth, X = motions(1000, scale=0.2, seed=0), points(1000, 50, seed=1)
+    error = ReprojectionError(projected(truth[:, None], X, 2).to(like), CAMERA.to(like), X.to(like))
+    start = {"pose": (motions(1000, scale=0.03, seed=3) * truth).requires_grad_(False).to(like)}
+    for name, residuals in (("ReprojectionError", error), ("torch.func", error.__call__)):
+        ms = milliseconds(partial(least_squares, residuals, start, max_iterations=STEPS, **endless), device)
+        print(f"1000 poses of 50 points, {STEPS} steps, {name}: {ms:.2f} ms", flush=True)
+    for count in (7776, 650):
+        for dtype in (torch.float64, torch.float32):
+            residuals, options = bundle_of(49, count, 31843, like.to(dtype))
+            fit = partial(least_squares, residuals, **options, **endless)
+            one, more = (milliseconds(partial(fit, max_iterations=n), device) for n in (1, 1 + STEPS))
+            line = f"bundle of 49 cameras, {count} points, 31843 observations, {dtype}: {(more - one) / STEPS:.3f} ms a step"
+            if device.type == "cuda":
+                torch.cuda.reset_peak_memory_stats()
+                before = torch.cuda.memory_allocated()
+                fit(max_iterations=STEPS)
+                peak = torch.cuda.max_memory_allocated() - before
+                line += f", peak {peak / (31843 * 2 * 9 * dtype.itemsize):.2f} times the Jacobians"
+            print(line, flush=True)
+    X = points(1000, 100, seed=1)
+    pixels = projected(truth[:, None], X, 2)
+    pixels[:, :30] = 500 * torch.rand(1000, 30, 2, generator=torch.Generator().manual_seed(4), dtype=torch.float64)
+    problems = [x.to(like) for x in (X, pixels, CAMERA.expand(1000, 3, 3))]
+    ms = milliseconds(lambda: solve_pnp_ransac(problems[0], problems[1], problems[2], seed=0), device)
+    print(f"1000 poses of 100 points, 30% wrong, solve_pnp_ransac: {ms:.2f} ms")
+
+
 def quickest(fit: Fit, repeats: int) -> tuple[float, float]:
     """The least CPU time in ms, which other work on the machine does not lengthen, and the cost."""
     best, cost = float("inf"), 0.0
@@ -152,7 +218,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parse.add_argument("--peers", type=Path, help="folder into which PyPose was installed")
     parse.add_argument("--poses", type=int, default=20, help="problems of one camera (default 20)")
     parse.add_argument("--repeats", type=int, default=3, help="of timed calls (default 3)")
+    parse.add_argument("--device", type=torch.device, help="times large problems on this device instead")
     options = parse.parse_args(arguments)
+    if options.device is not None:
+        large(options.device)
+        return 0
     set_threads(1)
     about = machine.describe(torch.device("cpu"), ["scipy"])
     print(f"{about['hardware']}  {about['date']}  kvision {about['commit']}  torch {about['torch']}")

@@ -148,7 +148,7 @@ def test_functions(device, monkeypatch):
             for antialias in (False, True):
                 same: dict[str, Any] = {"align_corners": corners, "antialias": antialias}
                 assert_close(G.resize(frames, size, **same), G.resize(rgb, size, **same))
-    M = torch.tensor([[[0.8, 0.2, 3], [-0.1, 0.9, 2]]], dtype=torch.float64, device=device)
+    M = torch.tensor([[[0.83, 0.21, 3.3], [-0.12, 0.91, 2.1]]], dtype=torch.float64, device=device)
     homography = torch.cat([M, M.new_tensor([[[1e-3, 2e-3, 1]]])], 1)
     for mode in ("bilinear", "nearest"):
         for padding in ("zeros", "border"):

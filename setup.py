@@ -1,8 +1,9 @@
 """Builds kvision for pip: CMake and ninja make the libraries, setuptools packs them. All metadata is in pyproject.toml.
 
 Environment:
-    KVISION_BUILD   auto (the default): pure Python, saying why, where there is no compiler or no torch to build with;
-                    native: that is an error; reference: pure Python. Code that does not compile is always an error.
+    KVISION_BUILD   auto (the default): pure Python, saying why, where there is no compiler or no torch to build with, and
+                    on systems other than Linux; native: that is an error, and others are tried; reference: pure Python.
+                    Code that does not compile is always an error.
     KVISION_CUDA    AUTO (the default): the CUDA kernels where a GPU is visible and nvcc is found; ON, or OFF.
     KVISION_PYTHONS more interpreters to build kvision._C for, separated by colons; tools/build_wheels.py sets it.
     CMAKE_ARGS      passed on to CMake, say "-DKVISION_ISA=avx2" or "-DCMAKE_CUDA_ARCHITECTURES=89". Editable builds are
@@ -49,21 +50,26 @@ def program(name: str) -> str | None:
     return shutil.which(name, path=os.pathsep.join([sysconfig.get_path("scripts"), os.environ.get("PATH", "")]))
 
 
-def is_pure() -> bool:
-    """Whether nothing will be compiled, as far as that is known before CMake runs, when pip asks for the version."""
-    if BUILD != "auto":
-        return BUILD == "reference"
-    compilers = shlex.split(os.environ.get("CXX", ""))[:1] or ["c++", "g++"]
-    compiler = next(filter(shutil.which, compilers), None)
-    tools = all(map(program, ("cmake", "ninja"))) and compiler is not None and is_gcc(compiler)
-    return torch_root() is None or not tools
+def why_pure() -> str | None:
+    """Why nothing will be compiled, as far as that is known before CMake runs, when pip asks for the version."""
+    if BUILD == "reference":
+        return "KVISION_BUILD=reference asked for it"
+    if BUILD == "auto" and sys.platform != "linux":
+        return "its kernels were compiled on Linux alone so far; KVISION_BUILD=native tries it here"
+    if torch_root() is None:
+        return "there is no torch >= 2.11 to take the headers from"
+    if not all(map(program, ("cmake", "ninja"))):
+        return "cmake or ninja is missing"
+    compilers = shlex.split(os.environ.get("CXX", ""))[:1] or ["c++", "g++", "clang++"]
+    return None if any(map(is_served, compilers)) else "there is no GCC or Clang"
 
 
-def is_gcc(compiler: str) -> bool:
-    """CMakeLists.txt refuses others. The c++ of macOS and of FreeBSD is Clang."""
+def is_served(compiler: str) -> bool:
+    """Whether it is GCC or Clang, which defines the same; CMakeLists.txt refuses others."""
+    if shutil.which(compiler) is None:
+        return False
     command = (compiler, "-dM", "-E", "-x", "c++", os.devnull)
-    macros = subprocess.run(command, capture_output=True, text=True).stdout
-    return "__GNUC__" in macros and "__clang__" not in macros
+    return "__GNUC__" in subprocess.run(command, capture_output=True, text=True).stdout
 
 
 class NativeDistribution(Distribution):
@@ -93,7 +99,7 @@ class BuildNative(Command):
         package = ROOT / "python/kvision" if self.editable_mode else Path(self.build_lib or "", "kvision").resolve()
         record = package / "lib/pure_python.txt"  # read by kvision.info
         record.unlink(missing_ok=True)
-        reason = "KVISION_BUILD=reference asked for it" if BUILD == "reference" else self.build(package)
+        reason = why_pure() or self.build(package)
         if reason is None:
             return
         if BUILD == "native":
@@ -105,10 +111,7 @@ class BuildNative(Command):
     def build(self, package: Path) -> str | None:
         """Build and install into `package`; where that cannot be done here, the reason."""
         cmake, ninja, torch = program("cmake"), program("ninja"), torch_root()
-        if torch is None:
-            return "there is no torch >= 2.11 to take the headers from"
-        if cmake is None or ninja is None:
-            return "cmake or ninja is missing"
+        assert cmake and ninja and torch  # why_pure
         folder = ROOT / "build" / ("cmake" if self.editable_mode else "wheel")
         if not self.editable_mode:
             shutil.rmtree(ROOT / "build/wheel", ignore_errors=True)
@@ -122,7 +125,7 @@ class BuildNative(Command):
             *shlex.split(os.environ.get("CMAKE_ARGS", "")),
         ]
         if subprocess.run(configure).returncode != 0:
-            return "CMake found no GCC with C++20 or no torch it can build with (its output: pip install -v)"
+            return "CMake found no GCC or Clang with C++20 or no torch it can build with (its output: pip install -v)"
         left_out = folder / "cuda_left_out.txt"  # written by CMakeLists.txt
         note = f"kvision: {left_out.read_text()}\n" if left_out.exists() else ""
         print(
@@ -170,7 +173,7 @@ class BdistWheel(bdist_wheel):
 
 
 options = {"build": {"build_base": "build/pip"}}
-if is_pure() and "sdist" not in sys.argv:
+if BUILD != "native" and why_pure() and "sdist" not in sys.argv:
     options["egg_info"] = {"tag_build": "+python"}  # the version 0.1.0+python, which pip prints
 setup(
     distclass=NativeDistribution,

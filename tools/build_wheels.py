@@ -59,7 +59,8 @@ def main(arguments: list[str] | None = None) -> None:
         "--glibc", default=older_glibc.GLIBC, help="the oldest glibc to run on (%(default)s); native: this machine's"
     )
     options = parser.parse_args(arguments)
-    missing = [name for name in ("auditwheel", "ziglang") if importlib.util.find_spec(name) is None]
+    stubs = ["ziglang"] if needs_stubs(options.glibc) else []
+    missing = [name for name in ("auditwheel", *stubs) if importlib.util.find_spec(name) is None]
     missing += ["patchelf"] * (shutil.which("patchelf") is None)
     if missing:
         sys.exit(
@@ -126,12 +127,17 @@ def make_sdist(folder: Path) -> Path:
     return next(folder.glob("*.tar.gz"))
 
 
+def needs_stubs(glibc: str) -> bool:
+    """Not for this machine's, nor in the containers of manylinux."""
+    return glibc != "native" and older_glibc.this_glibc() > tuple(map(int, glibc.split(".")))
+
+
 def older_system(glibc: str, folder: Path) -> tuple[list[str], str]:
     """The flags of CMake that link for `glibc` and newer, and the platform of the wheel."""
     if glibc == "native":
         return [], "auto"
     platform = f"manylinux_{glibc.replace('.', '_')}_{os.uname().machine}"
-    if older_glibc.this_glibc() <= tuple(map(int, glibc.split("."))):  # as in the containers of manylinux
+    if not needs_stubs(glibc):
         return [], platform
     older_glibc.make_stubs(folder, glibc)
     return older_glibc.cmake_arguments(folder), platform

@@ -212,7 +212,7 @@ def _next_steps() -> Iterator[str]:
         steps.append("for the kernels, unset KVISION_BACKEND or leave the block `with kvision.backend('reference')`.")
     if "cpu" in _backend.unserved:
         steps.append(
-            "for the kernels, install a C++20 compiler (GCC >= 11 or Clang >= 14) and install kvision again; "
+            "for the kernels, install a C++20 compiler (GCC >= 12 or Clang >= 19) and install kvision again; "
             "KVISION_BUILD=native then makes a build that cannot be done an error that says why."
         )
     if "cuda" in _backend.unserved:

@@ -12,7 +12,7 @@ __global__ void __launch_bounds__(kThreads) score_models(__grid_constant__ Conse
   int64_t const candidate = (blockIdx.x * int64_t(kThreads) + threadIdx.x) / 32, b = candidate / p.num_models;
   if (b >= p.batch) return;
   T m[9], score = 0, count = 0, is_known = 0;
-  T const t = p.squared_threshold(b);
+  T const t = p.squared_threshold(b), least = p.least(b);
 #pragma unroll
   for (int k = 0; k < 9; ++k) m[k] = p.models[candidate * 9 + k], is_known += m[k];
   bool is_given_up = !(is_known == is_known);
@@ -24,8 +24,8 @@ __global__ void __launch_bounds__(kThreads) score_models(__grid_constant__ Conse
       T const e = squared_error<T>(p, m, b, i, [](T const* x) { return *x; });
       if (e <= t) score += 1 - e / t, count += 1;
     }
-    if (start + kChunk <= p.count && p.least[b] > 0)
-      is_given_up = warp_reduce(score, Sum()) < p.bound(b, start + kChunk);
+    if (start + kChunk <= p.count && least > 0)
+      is_given_up = warp_reduce(score, Sum()) < p.bound(least, start + kChunk);
   }
   score = warp_reduce(score, Sum());
   count = warp_reduce(count, Sum());

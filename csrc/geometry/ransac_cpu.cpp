@@ -32,14 +32,15 @@ void consensus(Consensus<T> const& p, int64_t begin, int64_t end) {
   constexpr int N = kLanes<T>;
   for (int64_t candidate = begin; candidate < end; ++candidate) {
     int64_t const b = candidate / p.num_models;
-    T const* const m = p.models + candidate * 9;
+    T const *const m = p.models + candidate * 9, least = p.least(b);
     Lanes<T, N> scores{}, counts{};
-    T score = 0, count = 0;
-    bool is_given_up = false;
+    T score = 0, count = 0, is_known = 0;
+    for (int k = 0; k < 9; ++k) is_known += m[k];
+    bool is_given_up = !(is_known == is_known);
     int64_t i = 0;
     for (; i + kChunk <= p.count && !is_given_up;) {
       for (int64_t const rest = i + kChunk; i < rest; i += N) add_scores<N>(p, m, b, i, scores, counts);
-      is_given_up = sum<N, T>(scores) < p.bound(b, i);
+      is_given_up = sum<N, T>(scores) < p.bound(least, i);
     }
     if (!is_given_up) {
       for (; i + N <= p.count; i += N) add_scores<N>(p, m, b, i, scores, counts);
@@ -56,7 +57,7 @@ void top_k_models(TopKModels<T> const& p, int64_t begin, int64_t end) {
   for (int64_t b = begin; b < end; ++b) {
     T *const models = p.top_models + 9 * b * p.top_k, *const scores = p.top_scores + 2 * b * p.top_k;
     auto const rankable = [](T score) KV_INLINE { return score == score ? score : T(-__builtin_inf()); };
-    for (int64_t i = 0, count = 0; i < p.num_models; ++i) {
+    for (int64_t i = 0, count = 0; i < p.size(); ++i) {
       T const score = p.score(b, i);
       if (count == p.top_k && !(score > rankable(scores[2 * (count - 1) + p.by_count]))) continue;
       int64_t rank = count < p.top_k ? count++ : count - 1;

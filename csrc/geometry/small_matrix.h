@@ -45,7 +45,7 @@ constexpr int kUnrolled = N <= 4 ? N : 1;
 
 // --- symmetric matrices, stored as all N x N entries -----------------------------------------------------------------
 
-// The threads of a group (thread_group.h) take rows in turns, of matrices in shared storage.
+// The threads of a group (thread_group.h) take rows or entries in turns, of matrices in shared storage.
 
 // Inverts a positive definite matrix in place, sweeping row by row, and returns the smallest pivot.
 template <int N, class Group = SingleThread>
@@ -55,12 +55,17 @@ KV_HD double invert(double* m, Group group = {}) {
   for (int k = 0; k < N; ++k) {
     double const inverse = 1 / m[k * N + k];
     min_pivot = min(min_pivot, m[k * N + k]);
+    if (group.num_threads() == 1) {
 #pragma unroll(kUnrolled<N>)
-    for (int i = group.thread_rank(); i < N; i += group.num_threads()) {
-      if (i == k) continue;
-      double const factor = m[i * N + k] * inverse;
-      for (int j = 0; j < N; ++j)
-        if (j != k) m[i * N + j] -= factor * m[k * N + j];
+      for (int i = 0; i < N; ++i) {
+        if (i == k) continue;
+        double const factor = m[i * N + k] * inverse;
+        for (int j = 0; j < N; ++j)
+          if (j != k) m[i * N + j] -= factor * m[k * N + j];
+      }
+    } else {
+      for (int e = group.thread_rank(); e < N * N; e += group.num_threads())
+        if (e / N != k && e % N != k) m[e] -= m[e / N * N + k] * inverse * m[k * N + e % N];
     }
     group.sync();
     for (int i = group.thread_rank(); i < N; i += group.num_threads()) {
@@ -122,12 +127,17 @@ KV_HD void multiply_vector(double const* m, double const* y, double* x, Group gr
 template <int N, class Group>
 KV_HD void largest_eigenvector(double* m, double* square, double* w, double* v, Group group) {
   for (int step = 0; step < 40; ++step) {
+    if (group.num_threads() == 1) {
 #pragma unroll(kUnrolled<N>)
-    for (int i = group.thread_rank(); i < N; i += group.num_threads()) {
-      double row[N];
-      for (int k = 0; k < N; ++k) row[k] = m[i * N + k];
+      for (int i = 0; i < N; ++i) {
+        double row[N];
+        for (int k = 0; k < N; ++k) row[k] = m[i * N + k];
 #pragma unroll(kUnrolled<N>)
-      for (int j = 0; j <= i; ++j) square[i * N + j] = square[j * N + i] = dot<N>(row, m + j * N);
+        for (int j = 0; j <= i; ++j) square[i * N + j] = square[j * N + i] = dot<N>(row, m + j * N);
+      }
+    } else {
+      for (int e = group.thread_rank(); e < N * N; e += group.num_threads())
+        square[e] = dot<N>(m + e / N * N, m + e % N * N);
     }
     group.sync();
     double trace = 0;

@@ -189,12 +189,11 @@ void results() {
   expect_close("eigenvectors", std::get<0>(kvision::ops::eigenvectors(torch::diag_embed(levels.flip(1)))), levels);
   Tensor const points = from.transpose(1, 2).contiguous(), one = torch::eye(3).expand({2, 1, 3, 3});
   int64_t const homography = int64_t(kvision::ops::Model::homography);
-  expect_close("consensus",
-               kvision::ops::consensus(one, points, points, torch::zeros({2}), torch::full({2}, 0.1f), homography),
-               torch::full({2, 1, 2}, 9.f));
-  Tensor const scores = torch::tensor({{0.f, 0.f}, {1.f, 1.f}}).expand({2, 2, 2});
-  auto const [best, count] = kvision::ops::top_k_models(torch::cat({0 * one, one}, 1), scores, 1, true);
-  expect_close("top_k_models", best, one);
+  Tensor const none = torch::zeros({2, 1, 2}), small = torch::full({2}, 0.1f);
+  auto const [best, scores] =
+      kvision::ops::keep_best_models(one, points, points, 0 * one, none, small, 1, true, homography);
+  expect_close("keep_best_models", best, one);
+  expect_close("keep_best_models, scores", scores, torch::full({2, 1, 2}, 9.f));
   Tensor const pixels = points.to(torch::kDouble);
   auto const [fitted, sums] = kvision::ops::two_view_fits(one.to(torch::kDouble), pixels, pixels, {},
                                                           torch::full({2}, 0.1, torch::kDouble), 1, homography);

@@ -10,7 +10,7 @@ from torch import Tensor
 import kvision as K
 from kvision._modes import MODEL
 from kvision.geometry.homography.dlt import homography_of
-from kvision.geometry.ransac import _consensus, _top_k_models
+from kvision.geometry.ransac import _keep_best_models
 from kvision.geometry.solvers._minimal import SIZES, eight_points, minimal_solver
 from kvision.geometry.solvers._two_view_fits import two_view_fits
 from kvision.geometry.solvers.affine import affine_of
@@ -268,34 +268,38 @@ def test_minimal_models_are_the_references(model, device):
 
 @pytest.mark.parametrize("model", ["affine", "homography", "lines", "fundamental", "essential"])
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=str)
-def test_consensus_is_the_references(model, dtype, device):
+def test_best_models_are_the_references(model, dtype, device):
+    """Of new models and of three kept so far; where three are kept, few models are as good as these and most are given up."""
     numbers = 4 if model == "lines" else 2
     x, y = (rand(2, numbers, 333, high=9, seed=s).to(device, dtype) for s in (1, 2))
-    models = rand(2, 40, 3, 3, low=-1, seed=3).to(device, dtype)
+    models, kept = (rand(2, n, 3, 3, low=-1, seed=n).to(device, dtype) for n in (40, 3))
     models[0, 7, 1, 1] = float("nan")
-    for least in (0.0, 200.0):  # few models reach 200
-        args = models, x, y, *torch.tensor([[least, 0.0], [3.0, 2.5]]).to(device, dtype), MODEL[model]
-        result = _consensus(*args)
+    scores = torch.tensor([[[300.0, 310], [250, 333], [200, 201]], [[9, 8], [7, 9], [0, 0]]]).to(device, dtype)
+    thresholds = torch.tensor([3.0, 2.5]).to(device, dtype)
+    whole, _ = _keep_best_models(models, x, y, kept, scores, thresholds, 43, False, MODEL[model])
+    for count, by_count in ((1, False), (3, False), (3, True), (43, False)):
+        args = models, x, y, kept, scores, thresholds, count, by_count, MODEL[model]
+        result = _keep_best_models(*args)
         with K.backend("reference"):
-            expected = _consensus(*args)
-        assert_close(result[..., 1], expected[..., 1])
-        assert_close(result, expected, 1e-4, 1e-3)
-    with K.backend("reference"):
-        whole = _consensus(*args[:3], torch.zeros_like(args[3]), *args[4:])
-    kept = whole[0, :, 0] >= 200
-    assert_close(result[0][kept], whole[0][kept], 1e-4, 1e-3)
-    assert (result[0, :, 1] <= whole[0, :, 1]).all() and (result[0] < whole[0] - 1).any()
+            expected = _keep_best_models(*args)
+        assert_close(result[1][..., 1], expected[1][..., 1])
+        assert_close(result[1], expected[1], 1e-4, 1e-3)
+        assert torch.equal(result[0].nan_to_num(), expected[0].nan_to_num())
+        if not by_count:
+            assert torch.equal(result[0].nan_to_num(), whole[:, :count].nan_to_num())
 
 
 @pytest.mark.parametrize("count", [1, 8, 3000])
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=str)
-def test_top_k_models_are_the_references(count, dtype, device):
-    models, scores = rand(2, 2500, 3, 3, low=-1), (9 * rand(2, 2500, 2)).round()  # many are as good
-    models, scores = (x.to(device, dtype) for x in (models, scores))
+def test_the_first_of_equal_models_wins(count, dtype, device):
+    kept, scores = rand(2, 2500, 3, 3, low=-1), (9 * rand(2, 2500, 2)).round()  # many are as good
+    models, x = torch.full((2, 70, 3, 3), torch.nan).double(), rand(2, 2, 90)  # of score 0
+    models, x, kept, scores, thresholds = (v.to(device, dtype) for v in (models, x, kept, scores, torch.ones(2)))
     for by_count in (False, True):
-        result = _top_k_models(models, scores, count, by_count)
+        args = models, x, x, kept, scores, thresholds, count, by_count, MODEL["affine"]
+        result = _keep_best_models(*args)
         with K.backend("reference"):
-            assert_close(result, _top_k_models(models, scores, count, by_count), 0, 0)
+            assert_close([r.nan_to_num() for r in result], [r.nan_to_num() for r in _keep_best_models(*args)], 0, 0)
 
 
 def up_to_scale(models: Tensor, scores: Tensor) -> tuple[Tensor, Tensor]:
@@ -348,7 +352,7 @@ def test_instruction_sets(isa, device, backend):
     with instruction_set(isa):
         for model in ("lines", "fundamental", "essential"):
             test_minimal_models_are_the_references(model, device)
-            test_consensus_is_the_references(model, torch.float32, device)
+            test_best_models_are_the_references(model, torch.float32, device)
             test_two_view_fits_are_the_references(model, device)
         scene = Scene(1, 9)
         assert_close(K.geometry.triangulate_points(scene.P1, scene.P2, scene.x1, scene.x2), scene.points, 1e-7, 1e-7)
@@ -360,7 +364,7 @@ def test_operators_refuse_bad_arguments(backend):
     x, ops = torch.rand(1, 9, 2), torch.ops.kvision
     eye, scores, models, rows, one = (
         torch.eye(3)[None],
-        torch.zeros(1, 1, 2),
+        torch.zeros(1, 4, 2),
         torch.rand(1, 4, 3, 3),
         x.mT,
         torch.ones(1),
@@ -371,9 +375,18 @@ def test_operators_refuse_bad_arguments(backend):
         lambda: ops.minimal_solver(x, x, torch.rand(5, 4), MODEL["homography"]),
         lambda: ops.minimal_solver(x.half(), x.half(), torch.rand(5, 5), MODEL["homography"]),
         lambda: ops.minimal_solver(x, x, torch.rand(5, 5), 6),
-        lambda: ops.consensus(models, x, x, one, one, MODEL["homography"]),
-        lambda: ops.consensus(models, rows, rows, one[:0], one, MODEL["homography"]),
-        lambda: ops.consensus(models[0], rows, rows, one, one, MODEL["homography"]),
+        *(
+            lambda args=args: ops.keep_best_models(*args, 2, False, MODEL["homography"])
+            for args in (
+                (models, x, x, models, scores, one),
+                (models, rows, rows, models, scores, one[:0]),
+                (models[0], rows, rows, models, scores, one),
+                (models, rows, rows, models, scores[..., :1], one),
+                (models, rows, rows, models[:0], scores[:0], one),
+                (models[:, :0], rows, rows, models, scores, one),
+                (models, rows, rows.double(), models, scores, one),
+            )
+        ),
         lambda: ops.two_view_fits(models, rows, rows, None, one.double(), 2, MODEL["homography"]),
         lambda: ops.two_view_fits(models.double(), rows.double(), rows.double(), None, one.double(), 2, MODEL["lines"]),
         lambda: ops.two_view_fits(
@@ -409,8 +422,6 @@ def test_operators_refuse_bad_arguments(backend):
         lambda: ops.affine_fit_backward(torch.rand(1, 9), x, x, None),
         lambda: ops.pose_dlt(x, x, eye, None, 0.0),
         lambda: ops.pose_dlt(torch.rand(1, 9, 3), x, eye[:, :2], None, 0.0),
-        lambda: ops.top_k_models(eye[None], scores[..., :1], 1, False),
-        lambda: ops.top_k_models(models[:, :0], scores[:, :0], 1, False),
         lambda: ops.correspondence_errors(x, x[:, :4], eye, "sampson", True),
         lambda: ops.correspondence_errors(x, x, eye, "segments", True),
         lambda: ops.correspondence_errors(x, x, eye, "sphere", True),
@@ -505,34 +516,24 @@ RANSAC_ACCEPTED = ("count ", "rounds ", "another batch", "without axes", "one ax
 
 class TestRansacOperators(PointOpTests):
     calls = {
-        "consensus": [
+        "keep_best_models": [
             Call(
                 (
                     random_models,
                     vector(2, 77, scale=9.0),
                     vector(2, 77, scale=9.0),
-                    vector(scale=9.0),
+                    random_models,
+                    vector(4, 2, scale=9.0),
                     vector(scale=3.0),
                 ),
-                (MODEL[model],),
+                (2, by_count, MODEL[model]),
                 broadcasts=False,
                 differentiable=False,
                 accepted=RANSAC_ACCEPTED,
                 dtypes=SINGLE_AND_DOUBLE,
                 tolerance=200,
             )
-            for model in ("homography", "fundamental", "essential")
-        ],
-        "top_k_models": [
-            Call(
-                (random_models, vector(4, 2)),
-                (2, by_count),
-                broadcasts=False,
-                differentiable=False,
-                accepted=RANSAC_ACCEPTED,
-                dtypes=SINGLE_AND_DOUBLE,
-            )
-            for by_count in (False, True)
+            for model, by_count in (("homography", False), ("fundamental", True), ("essential", False))
         ],
         "two_view_fits": [
             Call(

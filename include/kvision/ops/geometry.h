@@ -141,11 +141,10 @@ inline constexpr Operator<"group_products", Tensor(Tensor left, Tensor right, Te
 
 // --- geometry/ransac_op.cpp
 
-inline constexpr Operator<"top_k_models", Two(Tensor models, Tensor scores, int64_t count, bool by_count)> top_k_models{
-    non_differentiable};
-inline constexpr Operator<"consensus", Tensor(Tensor models, Tensor points1, Tensor points2, Tensor least,
-                                              Tensor thresholds, int64_t model)>
-    consensus{non_differentiable};
+inline constexpr Operator<"keep_best_models",
+                          Two(Tensor models, Tensor points1, Tensor points2, Tensor kept, Tensor kept_scores,
+                              Tensor thresholds, int64_t count, bool by_count, int64_t model)>
+    keep_best_models{non_differentiable};
 
 // --- geometry/solvers/dlt_op.cpp
 

@@ -67,12 +67,11 @@ _SAMPLES = 2**18  # of all pairs in one round, which bounds the memory of their 
 _PAIRS = 512  # of points outside of a plane
 
 
-def _consensus_reference(
-    models: Tensor, points1: Tensor, points2: Tensor, least: Tensor, thresholds: Tensor, number: int
+def _consensus(
+    models: Tensor, points1: Tensor, points2: Tensor, least: Tensor, thresholds: Tensor, model: str
 ) -> Tensor:
     """Scores (B, M, 2) of models (B, M, 3, 3) for points (B, 2 or 4, N): sums of 1 - e / t^2 over inliers, inlier counts. After
     every 64 points models are given up whose sum is too far below what one of sum `least` (B) has by then."""
-    model = MODEL_NAMES[number]
     x, y = points1.mT, points2.mT
     if model == "lines":
         x, y = x.unflatten(-1, (2, 2)), y.unflatten(-1, (2, 2))
@@ -90,21 +89,34 @@ def _consensus_reference(
     return torch.where(is_given_up.any(-1, keepdim=True), sums.gather(2, first)[:, :, 0], gains.sum(-2))
 
 
-def _top_k_models_reference(models: Tensor, scores: Tensor, count: int, by_count: bool) -> tuple[Tensor, Tensor]:
-    """The `count` models of (B, M, 3, 3) with the best scores (B, M, 2), and these scores. The first of equal ones wins."""
+def _keep_best_reference(
+    models: Tensor,
+    points1: Tensor,
+    points2: Tensor,
+    kept: Tensor,
+    kept_scores: Tensor,
+    thresholds: Tensor,
+    count: int,
+    by_count: bool,
+    number: int,
+) -> tuple[Tensor, Tensor]:
+    """The `count` best of models (B, M, 3, 3) and of those kept so far (B, L, 3, 3), and their scores (B, count, 2). The first of
+    equal ones wins. Models need not be scored to the end that would not be kept, or have less than half the best sum."""
+    least = thresholds.new_zeros(len(models))
+    if kept.shape[1] == count and not by_count:
+        least = torch.maximum(kept_scores[:, -1, 0], kept_scores[:, 0, 0] / 2)
+    scores = _consensus(models, points1, points2, least, thresholds, MODEL_NAMES[number])
+    models, scores = torch.cat([models, kept], 1), torch.cat([scores, kept_scores], 1)
     order = scores[..., int(by_count)].argsort(dim=1, descending=True, stable=True)[:, :count]
     row = torch.arange(len(models), device=models.device)[:, None]
     return models[row, order], scores[row, order]
 
 
-_consensus = register(
-    "consensus", _consensus_reference, fake=lambda models, *args: (*models.shape[:2], 2), non_differentiable=(0,)
-)
-_top_k_models = register(
-    "top_k_models",
-    _top_k_models_reference,
-    fake=lambda models, scores, count, *options: [
-        x.new_empty(len(x), min(count, x.shape[1]), *x.shape[2:]) for x in (models, scores)
+_keep_best_models = register(
+    "keep_best_models",
+    _keep_best_reference,
+    fake=lambda models, x, y, kept, scores, thresholds, count, *options: [
+        models.new_empty(len(models), min(count, models.shape[1] + kept.shape[1]), *shape) for shape in ((3, 3), (2,))
     ],
     non_differentiable=(0, 1),
 )
@@ -325,8 +337,10 @@ class RANSAC(nn.Module):
             exists = None if w is None else w > 0
             if exists is not None:
                 x, y = (torch.where(exists.view(*exists.shape, *(1,) * (p.dim() - 2)), p, torch.nan) for p in (x, y))
-            model = self._best_models(x, y, exists, w, thresholds)
-            errors = squared_errors(model[:, None], x.double(), y.double(), self.model)[:, 0]
+            both = torch.stack([x, y]).flatten(3)
+            exact = both.double()
+            model = self._best_models(both, exact, exists, w, thresholds)
+            errors = squared_errors(model[:, None], *exact.unflatten(3, x.shape[2:]), self.model)[:, 0]
             inliers = errors <= thresholds.double().square()[:, None]
             inliers = inliers if exists is None else inliers & exists
             # Inliers of a sample alone say nothing for its model, but where these are all correspondences.
@@ -345,61 +359,59 @@ class RANSAC(nn.Module):
         return to_unit_last(models)
 
     def _best_models(
-        self, x: Tensor, y: Tensor, exists: Tensor | None, weights: Tensor | None, thresholds: Tensor
+        self, points: Tensor, exact: Tensor, exists: Tensor | None, weights: Tensor | None, thresholds: Tensor
     ) -> Tensor:
-        """The best models (B, 3, 3) in double: hypotheses, fits near all of them and then near the best one."""
-        if not len(x):
-            return x.new_empty(0, 3, 3, dtype=torch.float64)
+        """The best models (B, 3, 3) in double, of the points of both images (2, B, N, 2 or 4) in their type and in double:
+        hypotheses, fits near all of them, near the best of these and near the best one."""
+        count = points.shape[2]
+        if not points.shape[1]:
+            return exact.new_empty(0, 3, 3)
         # Scores give models up after some of the points, which therefore come in an order without meaning.
-        order = torch.arange(x.shape[1], device=x.device) * _stride(x.shape[1]) % x.shape[1]
-        rows1, rows2 = (p.flatten(2).mT[:, :, order] for p in (x, y))
-        points1, points2 = rows1.double(), rows2.double()
+        stride = _stride(count)
+        order = torch.arange(0, count * stride, stride, device=points.device) % count
+        rows, exact_rows = points.mT[..., order], exact.mT[..., order]
         w = None if weights is None else weights.double()[:, order]
-        reaches = self._reaches(thresholds).double()
+        limits = thresholds.double()
+        reaches, wide = self._reaches(limits), _WIDE * limits
 
-        def fits(models: Tensor, w: Tensor | None, rounds: int, wide: bool = False) -> tuple[Tensor, Tensor]:
-            reach = _WIDE * thresholds.double() if wide else reaches
-            return two_view_fits(models.double(), points1, points2, w, reach, rounds, self.model)
+        def fits(models: Tensor, w: Tensor | None, rounds: int, reaches: Tensor = reaches) -> tuple[Tensor, Tensor]:
+            return two_view_fits(models.double(), *exact_rows, w, reaches, rounds, self.model)
 
-        models = self._hypotheses(x, y, (rows1, rows2), exists, thresholds, fits)
-        if models.shape[1] > 1:
-            if models.shape[1] > _FEW:
-                models = fits(models, w, self.max_lo_iters, wide=True)[0]
-            models = best_of(*fits(models, w, self.max_lo_iters))[:, None]
-        return fits(models, w, self.max_lo_iters + self.refine_iters)[0][:, 0]
+        models = self._hypotheses(points, rows, exists, thresholds, fits)
+        most = self.max_lo_iters
+        if models.shape[1] > _FEW:
+            models = fits(models, w, most, wide)[0]
+        for rounds, kept in ((1, 4), (most, 1)):
+            if models.shape[1] > kept:
+                models = best_of(*fits(models, w, min(rounds, most)), kept)
+        return fits(models, w, most + self.refine_iters)[0][:, 0]
 
     def _reaches(self, thresholds: Tensor) -> Tensor:
         """The largest errors of correspondences that fits use."""
         return thresholds * _REACH.get(self.model, _WIDE)
 
     def _hypotheses(
-        self, x: Tensor, y: Tensor, rows: tuple[Tensor, Tensor], exists: Tensor | None, thresholds: Tensor, fits: Any
+        self, points: Tensor, rows: Tensor, exists: Tensor | None, thresholds: Tensor, fits: Any
     ) -> Tensor:
         """The best hypotheses (B, K, 3, 3) of pairs. Rounds end when the best of every pair has the requested confidence."""
-        batch, num_points = x.shape[:2]
+        batch, num_points = points.shape[1:3]
+        x, y = points
         counts: list[int] | None = None
         if self.confidence < 1 or x.is_cpu:
             counts = [num_points] * batch if exists is None else exists.sum(1).tolist()
         population = x.new_full((batch,), num_points) if exists is None else exists.sum(1).to(x.dtype)
-        pairs = x, y
         if exists is not None:  # the others last
             first = exists.to(torch.uint8).argsort(dim=1, descending=True, stable=True)
-            x, y = (p.gather(1, first.view(*first.shape, *(1,) * (p.dim() - 2)).expand_as(p)) for p in (x, y))
-        x, y = x.flatten(2), y.flatten(2)
+            x, y = points.gather(2, first[None, :, :, None].expand_as(points))
         generator = None if self.seed is None else torch.Generator(x.device).manual_seed(self.seed)
         kept, by_count, number = _REFINED.get(self.model, _KEPT), self.score_type == "ransac", MODEL[self.model]
         models, scores = x.new_empty(batch, 0, 3, 3), x.new_empty(batch, 0, 2)
-        none = x.new_zeros(batch)
 
         def merged(candidates: Tensor) -> tuple[Tensor, Tensor]:
-            is_full = scores.shape[1] == kept and not by_count
-            # Of no use are models that would not be kept, nor those of half the best sum.
-            least = torch.maximum(scores[:, -1, 0], scores[:, 0, 0] / 2) if is_full else none
-            others = _consensus(candidates, *rows, least, thresholds, number)
-            top = _top_k_models(candidates, others, kept, by_count)
-            if not models.shape[1]:
-                return top
-            return _top_k_models(torch.cat([top[0], models], 1), torch.cat([top[1], scores], 1), kept, by_count)
+            result: tuple[Tensor, Tensor] = _keep_best_models(
+                candidates, *rows, models, scores, thresholds, kept, by_count, number
+            )
+            return result
 
         most = max(_SAMPLES // batch, 64)
         size = min(self.resolve_batch_size(num_points, x.device), most)
@@ -424,7 +436,7 @@ class RANSAC(nn.Module):
             size = min(4 * size, most) if self.batch_size == "auto" else size
             size = min(size, max(required) - num_drawn)
         if self.degensac:
-            models, scores = merged(self._off_plane(*pairs, exists, generator))
+            models, scores = merged(self._off_plane(*points, exists, generator))
             return models
         # What was found early is found often: few hypotheses stand for all.
         is_early = [r < self.sample_budget for r in required]

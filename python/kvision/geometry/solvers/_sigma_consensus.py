@@ -63,8 +63,7 @@ def rising_fits(
     return best, best_score, best_errors
 
 
-def best_of(models: Tensor, scores: Tensor) -> Tensor:
-    """The models (B, m, n) of (B, K, m, n) with the best scores (B, K)."""
-    if models.shape[1] == 1:
-        return models[:, 0]
-    return models[torch.arange(len(models), device=models.device), scores.argmax(1)]
+def best_of(models: Tensor, scores: Tensor, count: int) -> Tensor:
+    """The `count` models (B, count, m, n) of (B, K, m, n) with the best scores (B, K)."""
+    chosen = scores.argsort(dim=1, descending=True, stable=True)[:, :count]
+    return models[torch.arange(len(models), device=models.device)[:, None], chosen]

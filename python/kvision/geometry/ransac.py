@@ -59,11 +59,15 @@ _REFINED = {"affine": 1, "homography": 1, "lines": 1}
 _KEPT, _FEW = 16, 8
 # The largest error that a fit uses, in thresholds. Distances from lines let more wrong correspondences in than those of points.
 # Where the confidence is not reached the first fits use `_WIDE`, because no sample may be of right correspondences alone.
-_REACH = {"fundamental": 1.5, "fundamental8": 1.5, "essential": 1.5}
+_REACH = {"fundamental": 2.0, "fundamental8": 2.0, "essential": 1.5}
 _WIDE = 4.0
 _BATCH = 2048  # hypotheses of one `max_iter` round for batch_size "auto"
 _FIRST = 2**14  # hypotheses of all pairs in the first round
 _SAMPLES = 2**18  # of all pairs in one round, which bounds the memory of their models
+# Where more samples than these are required few are of right correspondences alone: rounds of further samples follow from the
+# inliers of the best model, of which most are.
+_MANY = {"fundamental": 2000, "fundamental8": 2000, "essential": 100}
+_INNER_ROUNDS, _INNER = 2, 64
 _PAIRS = 512  # of points outside of a plane
 
 
@@ -435,6 +439,16 @@ class RANSAC(nn.Module):
                 population = torch.where(is_open, population, 0)
             size = min(4 * size, most) if self.batch_size == "auto" else size
             size = min(size, max(required) - num_drawn)
+        if max(required) > _MANY.get(self.model, math.inf) and self.max_lo_iters:
+            for _ in range(_INNER_ROUNDS):
+                models, scores = merged(fits(models[:, :1], None, 3)[0].to(x.dtype))
+                is_inlier = squared_errors(models[:, :1], *points, self.model)[:, 0] <= thresholds.square()[:, None]
+                first = is_inlier.to(torch.uint8).argsort(dim=1, descending=True, stable=True)
+                inliers = points.gather(2, first[None, :, :, None].expand_as(points))
+                draws = torch.rand(batch, _INNER, self.minimal_sample_size + 1, device=x.device, generator=generator)
+                draws[..., -1] = is_inlier.sum(1, keepdim=True)
+                candidates = minimal_solver(*inliers, draws.flatten(0, 1), self.model)
+                models, scores = merged(candidates.view(batch, -1, 3, 3))
         if self.degensac:
             models, scores = merged(self._off_plane(*points, exists, generator))
             return models

@@ -228,9 +228,12 @@ def ours(kind: str, pair: Pair) -> Callable[[int], np.ndarray]:
     a, b = (torch.from_numpy(v) for v in points)
     threshold = threshold / pair.camera[0, 0] if kind == "essential" else threshold
 
+    modules: dict[int, K.geometry.RANSAC] = {}
+
     def fit(seed: int) -> np.ndarray:
-        ransac = K.geometry.RANSAC(kind, threshold, confidence=CONFIDENCE, max_samples=LIMIT, seed=seed)
-        return ransac(a, b)[0].double().numpy()
+        if seed not in modules:
+            modules[seed] = K.geometry.RANSAC(kind, threshold, confidence=CONFIDENCE, max_samples=LIMIT, seed=seed)
+        return modules[seed](a, b)[0].double().numpy()
 
     return fit
 
@@ -282,7 +285,12 @@ def measured(kind: str, source: str, share: float, pairs: list[Pair], seeds: int
     for name, percent in (("median", 50), ("90th", 90)):
         a, b = (np.percentile(e, percent) for e in (own, theirs))
         result |= {name: f"{a:.4f}", f"{name} OpenCV": f"{b:.4f}", f"{name} ratio": f"{a / b:.3f}"}
-    result |= {"within": f"{within:.3f}", "ms": f"{ms[0]:.2f}", "ms OpenCV": f"{ms[1]:.2f}", "ms ratio": f"{ms[0] / ms[1]:.2f}"}
+    result |= {
+        "within": f"{within:.3f}",
+        "ms": f"{ms[0]:.2f}",
+        "ms OpenCV": f"{ms[1]:.2f}",
+        "ms ratio": f"{ms[0] / ms[1]:.2f}",
+    }
     return result
 
 
@@ -297,9 +305,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parse.add_argument(
         "--wrong", nargs="+", type=float, default=WRONG, help="shares of wrong correspondences (default .3 .5 .7)"
     )
-    parse.add_argument(
-        "--sources", nargs="+", default=["synthetic", "photographs"], help="of pairs"
-    )
+    parse.add_argument("--sources", nargs="+", default=["synthetic", "photographs"], help="of pairs")
     parse.add_argument("--kinds", nargs="+", default=["homography", "fundamental", "essential", "pose"])
     options = parse.parse_args(arguments)
     set_threads(1)
@@ -322,7 +328,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 print(" ".join(f"{value:>13}" for value in rows[-1].values()), flush=True)
     if options.csv is not None:
         made = f"# {about['hardware']}, kvision {about['commit']}, torch {about['torch']}, opencv {about['peers']['opencv']}"
-        write(options.csv, [f"{made}, {about['date'][:10]}: `{about['command']}`", "# px and degrees; ms on one thread"], rows)
+        write(
+            options.csv,
+            [f"{made}, {about['date'][:10]}: `{about['command']}`", "# px and degrees; ms on one thread"],
+            rows,
+        )
     return 0
 
 

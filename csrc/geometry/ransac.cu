@@ -32,16 +32,16 @@ __global__ void __launch_bounds__(kThreads) score_models(__grid_constant__ Conse
   if (threadIdx.x % 32 == 0) p.scores[2 * candidate] = score, p.scores[2 * candidate + 1] = count;
 }
 
-constexpr int kMaxThreads = 1024;
+constexpr int kTopThreads = 1024;
 
 // One block for each pair: each rank is the best of what its threads select.
 template <class T>
-__global__ void __launch_bounds__(kMaxThreads) find_top_k(__grid_constant__ TopKModels<T> const p) {
-  __shared__ int64_t warp_best[kMaxThreads / 32];
+__global__ void __launch_bounds__(kTopThreads) find_top_k(__grid_constant__ TopKModels<T> const p) {
+  __shared__ int64_t warp_best[kTopThreads / 32];
   int64_t const b = blockIdx.x;
   int64_t last = -1;
   for (int64_t rank = 0; rank < p.top_k; ++rank) {
-    int64_t best = p.next_best(b, last, threadIdx.x, kMaxThreads);
+    int64_t best = p.next_best(b, last, threadIdx.x, kTopThreads);
     auto const better = [&](int64_t i, int64_t k) { return p.is_better(b, k, i) ? k : i; };
     best = warp_reduce(best, better);
     __syncthreads();  // other threads may still read the last rank's model
@@ -52,7 +52,18 @@ __global__ void __launch_bounds__(kMaxThreads) find_top_k(__grid_constant__ TopK
   }
 }
 
+template <class T>
+__global__ void __launch_bounds__(kMaxThreads) select_of_pairs(__grid_constant__ Selection<T> const p) {
+  select_pair(p, blockIdx.x, ThreadBlock{});
+}
+
 }  // namespace
+
+template <class T>
+int select_inliers(Selection<T> const& p, CUstream_st* stream) {
+  select_of_pairs<T><<<unsigned(p.batch), block_size(p.count), 0, stream>>>(p);
+  return cudaGetLastError();
+}
 
 template <class T>
 int consensus(Consensus<T> const& p, CUstream_st* stream) {
@@ -62,11 +73,12 @@ int consensus(Consensus<T> const& p, CUstream_st* stream) {
 
 template <class T>
 int top_k_models(TopKModels<T> const& p, CUstream_st* stream) {
-  find_top_k<T><<<unsigned(p.batch), kMaxThreads, 0, stream>>>(p);
+  find_top_k<T><<<unsigned(p.batch), kTopThreads, 0, stream>>>(p);
   return cudaGetLastError();
 }
 
 KV_INSTANTIATE_COMPUTED(consensus, Consensus)
 KV_INSTANTIATE_COMPUTED(top_k_models, TopKModels)
+KV_INSTANTIATE_ONE(select_inliers, Selection, double)
 
 }  // namespace kv::geometry::cuda

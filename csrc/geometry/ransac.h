@@ -11,6 +11,8 @@
 //
 // top_k_models selects the best of the models and of those kept so far, in lists, one for each pair of images.
 //
+// select_inliers finds the inliers of the final model of each pair.
+//
 // An error that is NaN is no inlier. Included by ransac_cpu.cpp, ransac.cu and ransac_op.cpp.
 #pragma once
 
@@ -94,23 +96,75 @@ struct TopKModels {
   }
 };
 
+// Points (B, N, 2 or 4), weights (B, N) or null, thresholds (B), models (B, 9) -> models of unit last entry, essential
+// ones of norm 1, and their inliers. Inliers of a sample alone say nothing for its model, but where there are no more
+// correspondences: then both are 0.
+template <class T>
+struct Selection {
+  Reals points1, points2, weights, thresholds, models;
+  Model model;
+  int64_t batch, count;
+  Reals scaled;
+  bool* inliers;
+};
+
 KV_KERNEL(consensus, Consensus)
+KV_KERNEL(select_inliers, Selection)
 KV_KERNEL(top_k_models, TopKModels)
 
-// The squared errors of correspondences of pair b from i on; read(points) returns their coordinates, where `points` has
-// the first of them.
+// The squared error of correspondences: points (x, y) of both images, or both ends of segments.
+template <class V, class T>
+KV_HD V squared_error(Model model, T const* m, V const* one, V const* two) {
+  if (model == Model::lines) {
+    V const u = two[0], v = two[1], s = two[2], t = two[3];
+    V const sum = line_error(m, one[0], one[1], u, v, s, t) + line_error(m, one[2], one[3], u, v, s, t);
+    return sum * sum / (((s - u) * (s - u) + (t - v) * (t - v)) * 4);
+  }
+  return model <= Model::homography ? transfer_error(m, one[0], one[1], two[0], two[1])
+                                    : sampson_error(m, one[0], one[1], two[0], two[1]);
+}
+
+// Those of pair b from i on; read(points) returns their coordinates, where `points` has the first of them.
 template <class V, class T, class Read>
 KV_HD V squared_error(Consensus<T> const& p, T const* m, int64_t b, int64_t i, Read read) {
   int64_t const start = b * (p.model == Model::lines ? 4 : 2) * p.count + i;
-  T const *const one = p.points1 + start, *const two = p.points2 + start;
-  V const x = read(one), y = read(one + p.count), u = read(two), v = read(two + p.count);
+  T const *const x = p.points1 + start, *const y = p.points2 + start;
+  V one[4] = {read(x), read(x + p.count)}, two[4] = {read(y), read(y + p.count)};
   if (p.model == Model::lines) {
-    V const s = read(two + 2 * p.count), t = read(two + 3 * p.count);
-    V const sum = line_error(m, x, y, u, v, s, t) +
-                  line_error(m, V(read(one + 2 * p.count)), V(read(one + 3 * p.count)), u, v, s, t);
-    return sum * sum / (((s - u) * (s - u) + (t - v) * (t - v)) * 4);
+    one[2] = read(x + 2 * p.count), one[3] = read(x + 3 * p.count);
+    two[2] = read(y + 2 * p.count), two[3] = read(y + 3 * p.count);
   }
-  return p.model <= Model::homography ? transfer_error(m, x, y, u, v) : sampson_error(m, x, y, u, v);
+  return squared_error<V>(p.model, m, one, two);
+}
+
+// Threads of a group take correspondences in turns.
+template <class T, class Group>
+KV_HD void select_pair(Selection<T> const& p, int64_t b, Group group) {
+  int const numbers = p.model == Model::lines ? 4 : 2, size = sample_size(p.model);
+  double const threshold = p.thresholds[b];
+  double m[9], largest = 0, square = 0;
+  for (int k = 0; k < 9; ++k) {
+    m[k] = p.models[9 * b + k];
+    largest = max(largest, small::magnitude(m[k])), square += m[k] * m[k];
+  }
+  double counts[] = {0, 0};
+  for (int64_t i = group.thread_rank(); i < p.count; i += group.num_threads()) {
+    int64_t const at = b * p.count + i;
+    bool const exists = !p.weights.data || p.weights[at] > 0;
+    double one[4], two[4];
+    for (int k = 0; k < numbers; ++k) one[k] = p.points1[at * numbers + k], two[k] = p.points2[at * numbers + k];
+    bool const is_inlier = exists && squared_error<double>(p.model, m, one, two) <= threshold * threshold;
+    p.inliers[at] = is_inlier;
+    counts[0] += is_inlier, counts[1] += exists;
+  }
+  double const* const sums = group.sums(counts);
+  bool const has_model = sums[0] > min(sums[1] - 1, double(size));
+  if (!has_model)
+    for (int64_t i = group.thread_rank(); i < p.count; i += group.num_threads()) p.inliers[b * p.count + i] = false;
+  double const last = small::magnitude(m[8]) > 1e-12 * largest ? m[8] : largest;
+  double const scale = 1 / (p.model == Model::essential ? sqrt(square) : last);
+  for (int k = group.thread_rank(); k < 9; k += group.num_threads())
+    p.scaled.set(9 * b + k, has_model ? m[k] * scale : 0);
 }
 
 }  // namespace kv::geometry

@@ -73,4 +73,13 @@ void top_k_models(TopKModels<T> const& p, int64_t begin, int64_t end) {
 KV_INSTANTIATE_COMPUTED(consensus, Consensus)
 KV_INSTANTIATE_COMPUTED(top_k_models, TopKModels)
 
+#if !defined(__AVX512F__)  // in double
+template <class T>
+void select_inliers(Selection<T> const& p, int64_t begin, int64_t end) {
+  for (int64_t b = begin; b < end; ++b) select_pair(p, b, SingleThread{});
+}
+
+KV_INSTANTIATE_ONE(select_inliers, Selection, double)
+#endif
+
 }  // namespace kv::geometry::KV_ISA

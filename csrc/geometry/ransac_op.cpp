@@ -1,4 +1,4 @@
-// RANSAC's scores of models: schema and entry, for CPU and CUDA.
+// RANSAC's scores of models: schemas and entries, for CPU and CUDA.
 #include "geometry/ransac.h"
 #include "geometry/reals_glue.h"
 
@@ -44,23 +44,59 @@ std::tuple<Tensor, Tensor> keep_best_models(Tensor const& models, Tensor const& 
   dispatch_reals(m, [&](auto type) {
     using T = typename decltype(type)::type;
     KeptModels<T> const before{data_ptr<T>(k.tensor), data_ptr<T>(s.tensor), kept.size(1)};
-    Consensus<T> const consensus_of{data_ptr<T>(x.tensor), data_ptr<T>(y.tensor),
-                                    data_ptr<T>(m.tensor), data_ptr<T>(t.tensor),
-                                    before,                before.count == count && !by_count,
-                                    kind,                  batch,
-                                    num_models,            points1.size(2),
+    Consensus<T> const consensus_of{data_ptr<T>(x.tensor),
+                                    data_ptr<T>(y.tensor),
+                                    data_ptr<T>(m.tensor),
+                                    data_ptr<T>(t.tensor),
+                                    before,
+                                    before.count == count && !by_count,
+                                    kind,
+                                    batch,
+                                    num_models,
+                                    points1.size(2),
                                     data_ptr<T>(scores)};
     KV_RUN(consensus, m.tensor, consensus_of, batch * num_models, 4 * consensus_of.count);
     TopKModels<T> const ranks{
-        consensus_of.models, consensus_of.scores, before, batch, num_models, top_k, by_count, data_ptr<T>(top_models),
-        data_ptr<T>(top_scores)};
+        consensus_of.models,     consensus_of.scores,    before, batch, num_models, top_k, by_count,
+        data_ptr<T>(top_models), data_ptr<T>(top_scores)};
     KV_RUN(top_k_models, m.tensor, ranks, batch, top_k + all);
   });
   return {top_models, top_scores};
 }
 
+// The models (B, 3, 3), scaled and of the type of the points, and their inliers (B, N), of points (B, N, 2 or 4) and
+// weights (B, N), of which positive ones exist. Both are 0 for pairs without a consensus.
+std::tuple<Tensor, Tensor> select_inliers(Tensor const& points1, Tensor const& points2,
+                                          std::optional<Tensor> const& weights, Tensor const& thresholds,
+                                          Tensor const& models, int64_t model) {
+  constexpr char const* op = "select_inliers";
+  Model const kind = parse_model(op, model);
+  int64_t const numbers = kind == Model::lines ? 4 : 2;
+  KV_CHECK(points1.dim() == 3 && points1.size(2) == numbers, op, ": expected points1 of shape (B, N, ", numbers, ")");
+  check_like(op, "points2", points2, points1);
+  int64_t const batch = points1.size(0), count = points1.size(1);
+  KV_CHECK(!weights || (weights->dim() == 2 && weights->size(0) == batch && weights->size(1) == count &&
+                        weights->device() == points1.device()),
+           op, ": expected weights of shape (B, N)");
+  KV_CHECK(thresholds.dim() == 1 && thresholds.size(0) == batch && thresholds.device() == points1.device(), op,
+           ": expected thresholds of shape (B)");
+  KV_CHECK(models.dim() == 3 && models.size(0) == batch && models.size(1) == 3 && models.size(2) == 3 &&
+               models.device() == points1.device(),
+           op, ": expected models of shape (B, 3, 3)");
+  Contiguous const x(op, points1), y(op, points2), w(op, weights), t(op, thresholds), m(op, models);
+  Tensor const scaled = empty({batch, 3, 3}, x.tensor),
+               inliers = empty({batch, count}, x.tensor, Layout::planar, ScalarType::Bool);
+  Selection<double> const params{
+      x.reals, y.reals, w.reals, t.reals, m.reals, kind, batch, count, reals_of(op, scaled), data_ptr<bool>(inliers)};
+  KV_RUN(select_inliers, x.tensor, params, batch, 32 * count);
+  return {scaled, inliers};
+}
+
 }  // namespace
 
+KV_OPERATOR(select_inliers,
+            "(Tensor points1, Tensor points2, Tensor? weights, Tensor thresholds, Tensor models, int model) -> "
+            "(Tensor, Tensor)")
 KV_OPERATOR(keep_best_models,
             "(Tensor models, Tensor points1, Tensor points2, Tensor kept, Tensor kept_scores, Tensor thresholds, "
             "int count, bool by_count, int model) -> (Tensor, Tensor)")

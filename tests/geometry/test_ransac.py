@@ -10,7 +10,7 @@ from torch import Tensor
 import kvision as K
 from kvision._modes import MODEL
 from kvision.geometry.homography.dlt import homography_of
-from kvision.geometry.ransac import _keep_best_models
+from kvision.geometry.ransac import _keep_best_models, _select_inliers
 from kvision.geometry.solvers._minimal import SIZES, eight_points, minimal_solver
 from kvision.geometry.solvers._two_view_fits import two_view_fits
 from kvision.geometry.solvers.affine import affine_of
@@ -302,6 +302,26 @@ def test_the_first_of_equal_models_wins(count, dtype, device):
             assert_close([r.nan_to_num() for r in result], [r.nan_to_num() for r in _keep_best_models(*args)], 0, 0)
 
 
+@pytest.mark.parametrize("model", ["affine", "homography", "lines", "fundamental", "essential"])
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=str)
+def test_inliers_are_the_references(model, dtype, device):
+    """Of three pairs, the second of few correspondences and the third without a consensus."""
+    numbers = 4 if model == "lines" else 2
+    x, y = (rand(3, 70, numbers, high=9, seed=s).to(device, dtype) for s in (1, 2))
+    x[0, 5] = float("nan")
+    models, weights = rand(3, 3, 3, low=-1, seed=3).to(device), rand(3, 70, seed=4).to(device, dtype)
+    weights[1, 2:] = 0
+    thresholds = torch.tensor([4.0, 90, 1e-6]).to(device, dtype)
+    for w in (None, weights):
+        args = x, y, w, thresholds, models, MODEL[model]
+        result = _select_inliers(*args)
+        with K.backend("reference"):
+            expected = _select_inliers(*args)
+        assert_close(result[0], expected[0], 1e-5, 1e-6)
+        assert torch.equal(result[1], expected[1]) and result[0].dtype == dtype
+    assert not result[0][2].any() and not result[1][2].any() and result[1][1].sum() == 2
+
+
 def up_to_scale(models: Tensor, scores: Tensor) -> tuple[Tensor, Tensor]:
     """Products of the entries of models, which have no sign, in units of the largest."""
     flat = models.flatten(2)[..., None]
@@ -353,6 +373,7 @@ def test_instruction_sets(isa, device, backend):
         for model in ("lines", "fundamental", "essential"):
             test_minimal_models_are_the_references(model, device)
             test_best_models_are_the_references(model, torch.float32, device)
+            test_inliers_are_the_references(model, torch.float32, device)
             test_two_view_fits_are_the_references(model, device)
         scene = Scene(1, 9)
         assert_close(K.geometry.triangulate_points(scene.P1, scene.P2, scene.x1, scene.x2), scene.points, 1e-7, 1e-7)
@@ -387,6 +408,11 @@ def test_operators_refuse_bad_arguments(backend):
                 (models, rows, rows.double(), models, scores, one),
             )
         ),
+        lambda: ops.select_inliers(x, x[:, :3], None, one, eye, MODEL["homography"]),
+        lambda: ops.select_inliers(rows, rows, None, one, eye, MODEL["homography"]),
+        lambda: ops.select_inliers(x, x, torch.rand(1, 8), one, eye, MODEL["homography"]),
+        lambda: ops.select_inliers(x, x, None, one[:0], eye, MODEL["homography"]),
+        lambda: ops.select_inliers(x, x, None, one, eye[0], MODEL["homography"]),
         lambda: ops.two_view_fits(models, rows, rows, None, one.double(), 2, MODEL["homography"]),
         lambda: ops.two_view_fits(models.double(), rows.double(), rows.double(), None, one.double(), 2, MODEL["lines"]),
         lambda: ops.two_view_fits(
@@ -534,6 +560,18 @@ class TestRansacOperators(PointOpTests):
                 tolerance=200,
             )
             for model, by_count in (("homography", False), ("fundamental", True), ("essential", False))
+        ],
+        "select_inliers": [
+            Call(
+                (vector(77, 2, scale=9.0), vector(77, 2, scale=9.0), None, vector(scale=3.0), vector(3, 3)),
+                (MODEL[model],),
+                broadcasts=False,
+                differentiable=False,
+                accepted=(*RANSAC_ACCEPTED, "another dtype"),
+                dtypes=SINGLE_AND_DOUBLE,
+                tolerance=200,
+            )
+            for model in ("homography", "essential")
         ],
         "two_view_fits": [
             Call(

@@ -141,6 +141,9 @@ inline constexpr Operator<"group_products", Tensor(Tensor left, Tensor right, Te
 
 // --- geometry/ransac_op.cpp
 
+inline constexpr Operator<"select_inliers", Two(Tensor points1, Tensor points2, OptionalTensor weights,
+                                                Tensor thresholds, Tensor models, int64_t model)>
+    select_inliers{non_differentiable};
 inline constexpr Operator<"keep_best_models",
                           Two(Tensor models, Tensor points1, Tensor points2, Tensor kept, Tensor kept_scores,
                               Tensor thresholds, int64_t count, bool by_count, int64_t model)>

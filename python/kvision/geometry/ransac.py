@@ -126,6 +126,40 @@ _keep_best_models = register(
 )
 
 
+def _select_inliers_reference(
+    points1: Tensor, points2: Tensor, weights: Tensor | None, thresholds: Tensor, models: Tensor, number: int
+) -> tuple[Tensor, Tensor]:
+    """Models (B, 3, 3) in the type of points (B, N, 2 or 4), scaled, and their inliers, bool (B, N), among correspondences of
+    positive weights (B, N). Inliers of a sample alone say nothing for its model, but where there are no more correspondences:
+    then both are zeros."""
+    model = MODEL_NAMES[number]
+    x, y = points1.double(), points2.double()
+    if model == "lines":
+        x, y = x.unflatten(-1, (2, 2)), y.unflatten(-1, (2, 2))
+    errors = squared_errors(models.double()[:, None], x, y, model)[:, 0]
+    exists = torch.ones_like(errors, dtype=torch.bool) if weights is None else weights > 0
+    inliers = exists & (errors <= thresholds.double().square()[:, None])
+    least = (exists.sum(1, keepdim=True) - 1).clamp(max=SIZES[model][0])
+    has_consensus = inliers.sum(1, keepdim=True) > least
+    scaled = torch.where(has_consensus[..., None], _scaled(models, model), 0)
+    return scaled.to(points1.dtype), inliers & has_consensus
+
+
+_select_inliers = register(
+    "select_inliers",
+    _select_inliers_reference,
+    fake=lambda x, *args: [x.new_empty(len(x), 3, 3), x.new_empty(x.shape[:2], dtype=torch.bool)],
+    non_differentiable=(0, 1),
+    casts_outputs=True,
+)
+
+
+def _scaled(models: Tensor, model: str) -> Tensor:
+    if model == "essential":
+        return models / torch.linalg.vector_norm(models, dim=(-2, -1), keepdim=True)
+    return to_unit_last(models)
+
+
 class RANSAC(nn.Module):
     """Find the model with the most inliers among correspondences, and these inliers (RANSAC).
 
@@ -336,50 +370,34 @@ class RANSAC(nn.Module):
             thresholds = thresholds / focals.detach().mean(1)
             kp1, kp2 = (_in_camera(points, K) for points, K in zip((kp1, kp2), cameras))
         with torch.no_grad():
-            x, y = kp1.detach(), kp2.detach()
             w = None if weights is None else weights.detach()
             exists = None if w is None else w > 0
+            points = torch.stack([kp1.detach(), kp2.detach()]).flatten(3)
             if exists is not None:
-                x, y = (torch.where(exists.view(*exists.shape, *(1,) * (p.dim() - 2)), p, torch.nan) for p in (x, y))
-            both = torch.stack([x, y]).flatten(3)
-            exact = both.double()
-            model = self._best_models(both, exact, exists, w, thresholds)
-            errors = squared_errors(model[:, None], *exact.unflatten(3, x.shape[2:]), self.model)[:, 0]
-            inliers = errors <= thresholds.double().square()[:, None]
-            inliers = inliers if exists is None else inliers & exists
-            # Inliers of a sample alone say nothing for its model, but where these are all correspondences.
-            size = self.minimal_sample_size
-            least = min(x.shape[1] - 1, size) if exists is None else (exists.sum(1, keepdim=True) - 1).clamp(max=size)
-            has_consensus = inliers.sum(1, keepdim=True) > least
-            inliers = inliers & has_consensus
-            model = torch.where(has_consensus[..., None], self._scaled(model), 0).to(kp1.dtype)
+                points = torch.where(exists[None, :, :, None], points, torch.nan)
+            fitted = self._best_models(points, exists, w, thresholds)
+            model, inliers = _select_inliers(*points, w, thresholds, fitted, MODEL[self.model])
         if torch.is_grad_enabled() and any(t is not None and t.requires_grad for t in (kp1, kp2, weights)):
-            model = self._with_gradient(model, errors, inliers, kp1, kp2, weights, thresholds)
+            model = self._with_gradient(model, fitted, inliers, kp1, kp2, weights, thresholds)
         return model, inliers
 
-    def _scaled(self, models: Tensor) -> Tensor:
-        if self.model == "essential":
-            return models / torch.linalg.vector_norm(models, dim=(-2, -1), keepdim=True)
-        return to_unit_last(models)
-
-    def _best_models(
-        self, points: Tensor, exact: Tensor, exists: Tensor | None, weights: Tensor | None, thresholds: Tensor
-    ) -> Tensor:
-        """The best models (B, 3, 3) in double, of the points of both images (2, B, N, 2 or 4) in their type and in double:
-        hypotheses, fits near all of them, near the best of these and near the best one."""
+    def _best_models(self, points: Tensor, exists: Tensor | None, weights: Tensor | None, thresholds: Tensor) -> Tensor:
+        """The best models (B, 3, 3) in double, of the points of both images (2, B, N, 2 or 4): hypotheses, fits near all of them,
+        near the best of these and near the best one."""
         count = points.shape[2]
         if not points.shape[1]:
-            return exact.new_empty(0, 3, 3)
+            return points.new_empty(0, 3, 3, dtype=torch.float64)
         # Scores give models up after some of the points, which therefore come in an order without meaning.
         stride = _stride(count)
         order = torch.arange(0, count * stride, stride, device=points.device) % count
-        rows, exact_rows = points.mT[..., order], exact.mT[..., order]
+        rows = points.mT[..., order]
+        exact = rows.double()
         w = None if weights is None else weights.double()[:, order]
         limits = thresholds.double()
         reaches, wide = self._reaches(limits), _WIDE * limits
 
         def fits(models: Tensor, w: Tensor | None, rounds: int, reaches: Tensor = reaches) -> tuple[Tensor, Tensor]:
-            return two_view_fits(models.double(), *exact_rows, w, reaches, rounds, self.model)
+            return two_view_fits(models.double(), *exact, w, reaches, rounds, self.model)
 
         models = self._hypotheses(points, rows, exists, thresholds, fits)
         most = self.max_lo_iters
@@ -394,9 +412,7 @@ class RANSAC(nn.Module):
         """The largest errors of correspondences that fits use."""
         return thresholds * _REACH.get(self.model, _WIDE)
 
-    def _hypotheses(
-        self, points: Tensor, rows: Tensor, exists: Tensor | None, thresholds: Tensor, fits: Any
-    ) -> Tensor:
+    def _hypotheses(self, points: Tensor, rows: Tensor, exists: Tensor | None, thresholds: Tensor, fits: Any) -> Tensor:
         """The best hypotheses (B, K, 3, 3) of pairs. Rounds end when the best of every pair has the requested confidence."""
         batch, num_points = points.shape[1:3]
         x, y = points
@@ -493,18 +509,20 @@ class RANSAC(nn.Module):
     def _with_gradient(
         self,
         model: Tensor,
-        errors: Tensor,
+        near: Tensor,
         inliers: Tensor,
         kp1: Tensor,
         kp2: Tensor,
         weights: Tensor | None,
         thresholds: Tensor,
     ) -> Tensor:
-        """The model with the gradient of the weighted linear least squares of what it was fitted to."""
+        """The model with the gradient of the weighted linear least squares of what it was fitted to, `near` this model."""
         has_model = inliers.any(1)
-        w = consensus(torch.where(has_model[:, None], errors, 0), self._reaches(thresholds)[:, None])[0].to(kp1.dtype)
+        x, y = kp1.detach().double(), kp2.detach().double()
+        errors = torch.where(has_model[:, None], squared_errors(near[:, None], x, y, self.model)[:, 0], 0)
+        w = consensus(errors, self._reaches(thresholds)[:, None])[0].to(kp1.dtype)
         kp1, kp2 = kp1.nan_to_num(0.0, 0.0, 0.0), kp2.nan_to_num(0.0, 0.0, 0.0)  # of weight 0
-        fitted = self._scaled(self._fitted(kp1, kp2, w if weights is None else w * weights))
+        fitted = _scaled(self._fitted(kp1, kp2, w if weights is None else w * weights), self.model)
         if self.model == "essential":
             fitted = fitted * (fitted * model).sum((1, 2), keepdim=True).sign().detach()
         valued = model + (fitted - fitted.detach())

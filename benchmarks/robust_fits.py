@@ -25,7 +25,7 @@ import torch
 import kvision as K
 from benchmarks import machine
 from benchmarks.peers import set_threads
-from benchmarks.results import write
+from benchmarks.results import read, write
 
 DATA = Path(__file__).parents[2] / "shared" / "data"
 FIRST = 10_000  # settings were chosen on pairs of smaller seeds
@@ -298,7 +298,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parse = argparse.ArgumentParser(prog="python -m benchmarks.robust_fits", description=__doc__)
     parse.add_argument("--data", type=Path, default=DATA, help="folder with homography/ and rgbd_livingroom/")
     parse.add_argument("--first", type=int, default=FIRST, help=f"seed of the first pair (default {FIRST})")
-    parse.add_argument("--csv", type=Path, help="table to write, results/MACHINE/robust_fits.csv")
+    parse.add_argument("--csv", type=Path, help="table whose rows are replaced, results/MACHINE/robust_fits.csv")
     parse.add_argument("--pairs", type=int, default=500, help="synthetic ones (default 500)")
     parse.add_argument("--seeds", type=int, default=5, help="of each pair (default 5)")
     parse.add_argument("--repeats", type=int, default=5, help="of timed calls (default 5)")
@@ -327,12 +327,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
                     print(" ".join(f"{name:>13}" for name in rows[0]))
                 print(" ".join(f"{value:>13}" for value in rows[-1].values()), flush=True)
     if options.csv is not None:
-        made = f"# {about['hardware']}, kvision {about['commit']}, torch {about['torch']}, opencv {about['peers']['opencv']}"
-        write(
-            options.csv,
-            [f"{made}, {about['date'][:10]}: `{about['command']}`", "# px and degrees; ms on one thread"],
-            rows,
-        )
+        about = [
+            f"# {about['hardware']}, torch {about['torch']}, opencv {about['peers']['opencv']}: `{about['command']}`",
+            f"# kvision {about['commit']}, {about['date'][:10]}; pixels, essential and pose degrees; ms on one thread",
+        ]
+        keys = [(row["model"], row["pairs"], row["wrong"]) for row in rows]
+        others = read(options.csv)[1] if options.csv.exists() else []
+        write(options.csv, about, [r for r in others if (r["model"], r["pairs"], r["wrong"]) not in keys] + rows)
     return 0
 
 

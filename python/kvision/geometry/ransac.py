@@ -59,7 +59,7 @@ _REFINED = {"affine": 1, "homography": 1, "lines": 1}
 _KEPT, _FEW = 16, 8
 # The largest error that a fit uses, in thresholds. Distances from lines let more wrong correspondences in than those of points.
 # Where the confidence is not reached the first fits use `_WIDE`, because no sample may be of right correspondences alone.
-_REACH = {"fundamental": 2.0, "fundamental8": 2.0, "essential": 1.5}
+_REACH = {"homography": 5.0, "fundamental": 2.0, "fundamental8": 2.0, "essential": 1.75}
 _WIDE = 4.0
 _BATCH = 2048  # hypotheses of one `max_iter` round for batch_size "auto"
 _FIRST = 2**14  # hypotheses of all pairs in the first round
@@ -402,7 +402,7 @@ class RANSAC(nn.Module):
         models = self._hypotheses(points, rows, exists, thresholds, fits)
         most = self.max_lo_iters
         if models.shape[1] > _FEW:
-            models = fits(models, w, most, wide)[0]
+            models = fits(models, w, min(most, 2), wide)[0]
         for rounds, kept in ((1, 4), (most, 1)):
             if models.shape[1] > kept:
                 models = best_of(*fits(models, w, min(rounds, most)), kept)

@@ -2,8 +2,9 @@
 
 A round draws minimal samples of all pairs of a batch, solves for their models and scores each model by its inliers. That
 takes two operators, whatever the number of hypotheses. Rounds end as soon as the best model of every pair reaches the
-requested confidence, which the host reads once a round. The best hypotheses are fitted to all correspondences by
-sigma-consensus++, those of all pairs at once.
+requested confidence, which the host reads once a round. Where few samples are of right correspondences alone, further ones
+are drawn from the inliers of the best model. The best hypotheses are fitted to all correspondences by sigma-consensus++, those
+of all pairs at once.
 """
 
 from __future__ import annotations
@@ -57,7 +58,8 @@ _MODELS: dict[ModelType, str] = {
 # Hypotheses that are fitted: 16 of models of many points, of which few samples are right; `_FEW` where the confidence is reached.
 _REFINED = {"affine": 1, "homography": 1, "lines": 1}
 _KEPT, _FEW = 16, 8
-# The largest error that a fit uses, in thresholds. Distances from lines let more wrong correspondences in than those of points.
+# The largest error that a fit uses, in thresholds: what far ones tell of the noise is worth more than the wrong ones among them
+# cost. Distances from lines let more of these in than those of points.
 # Where the confidence is not reached the first fits use `_WIDE`, because no sample may be of right correspondences alone.
 _REACH = {"homography": 5.0, "fundamental": 2.0, "fundamental8": 2.0, "essential": 1.75}
 _WIDE = 4.0
@@ -191,7 +193,8 @@ class RANSAC(nn.Module):
 
     Source: P. Torr and A. Zisserman, "MLESAC" (2000); D. Barath et al., "MAGSAC++" (2020); W. Chojnacki et al., "On the fitting of
     surfaces to data with covariances" (2000); O. Chum and J. Matas, "Matching with PROSAC" (2005); O. Chum, T. Werner, J. Matas,
-    "Two-view geometry estimation unaffected by a dominant plane" (2005).
+    "Two-view geometry estimation unaffected by a dominant plane" (2005); O. Chum, J. Matas, J. Kittler, "Locally optimized RANSAC"
+    (2003).
 
     Example:
         >>> import torch, kvision as K
@@ -397,7 +400,7 @@ class RANSAC(nn.Module):
         reaches, wide = self._reaches(limits), _WIDE * limits
 
         def fits(models: Tensor, w: Tensor | None, rounds: int, reaches: Tensor = reaches) -> tuple[Tensor, Tensor]:
-            return two_view_fits(models.double(), *exact, w, reaches, rounds, self.model)
+            return two_view_fits(models.double(), exact[0], exact[1], w, reaches, rounds, self.model)
 
         models = self._hypotheses(points, rows, exists, thresholds, fits)
         most = self.max_lo_iters
@@ -458,15 +461,15 @@ class RANSAC(nn.Module):
         if max(required) > _MANY.get(self.model, math.inf) and self.max_lo_iters:
             for _ in range(_INNER_ROUNDS):
                 models, scores = merged(fits(models[:, :1], None, 3)[0].to(x.dtype))
-                is_inlier = squared_errors(models[:, :1], *points, self.model)[:, 0] <= thresholds.square()[:, None]
+                errors = squared_errors(models[:, :1], points[0], points[1], self.model)[:, 0]
+                is_inlier = errors <= thresholds.square()[:, None]
                 first = is_inlier.to(torch.uint8).argsort(dim=1, descending=True, stable=True)
-                inliers = points.gather(2, first[None, :, :, None].expand_as(points))
+                a, b = points.gather(2, first[None, :, :, None].expand_as(points))
                 draws = torch.rand(batch, _INNER, self.minimal_sample_size + 1, device=x.device, generator=generator)
                 draws[..., -1] = is_inlier.sum(1, keepdim=True)
-                candidates = minimal_solver(*inliers, draws.flatten(0, 1), self.model)
-                models, scores = merged(candidates.view(batch, -1, 3, 3))
+                models, scores = merged(minimal_solver(a, b, draws.flatten(0, 1), self.model).view(batch, -1, 3, 3))
         if self.degensac:
-            models, scores = merged(self._off_plane(*points, exists, generator))
+            models, scores = merged(self._off_plane(points[0], points[1], exists, generator))
             return models
         # What was found early is found often: few hypotheses stand for all.
         is_early = [r < self.sample_budget for r in required]

@@ -63,13 +63,14 @@ _KEPT, _FEW = 16, 8
 # Where the confidence is not reached the first fits use `_WIDE`, because no sample may be of right correspondences alone.
 _REACH = {"homography": 5.0, "fundamental": 2.0, "fundamental8": 2.0, "essential": 1.75}
 _WIDE = 4.0
+_GROWTH = {"homography": 8}  # of rounds, else 4: of hypotheses that take little time
 _BATCH = 2048  # hypotheses of one `max_iter` round for batch_size "auto"
 _FIRST = 2**14  # hypotheses of all pairs in the first round
 _SAMPLES = 2**18  # of all pairs in one round, which bounds the memory of their models
 # Where more samples than these are required few are of right correspondences alone: rounds of further samples follow from the
 # inliers of the best model, of which most are.
 _MANY = {"fundamental": 2000, "fundamental8": 2000, "essential": 100}
-_INNER_ROUNDS, _INNER = 2, 64
+_INNER_ROUNDS, _INNER = 2, {"fundamental": 64, "fundamental8": 64, "essential": 32}
 _PAIRS = 512  # of points outside of a plane
 
 
@@ -456,7 +457,7 @@ class RANSAC(nn.Module):
             if num_drawn >= min(required):  # pairs that have their model draw no samples
                 is_open = torch.tensor([num_drawn < r for r in required], device=x.device)
                 population = torch.where(is_open, population, 0)
-            size = min(4 * size, most) if self.batch_size == "auto" else size
+            size = min(_GROWTH.get(self.model, 4) * size, most) if self.batch_size == "auto" else size
             size = min(size, max(required) - num_drawn)
         if max(required) > _MANY.get(self.model, math.inf) and self.max_lo_iters:
             for _ in range(_INNER_ROUNDS):
@@ -465,7 +466,9 @@ class RANSAC(nn.Module):
                 is_inlier = errors <= thresholds.square()[:, None]
                 first = is_inlier.to(torch.uint8).argsort(dim=1, descending=True, stable=True)
                 a, b = points.gather(2, first[None, :, :, None].expand_as(points))
-                draws = torch.rand(batch, _INNER, self.minimal_sample_size + 1, device=x.device, generator=generator)
+                draws = torch.rand(
+                    batch, _INNER[self.model], self.minimal_sample_size + 1, device=x.device, generator=generator
+                )
                 draws[..., -1] = is_inlier.sum(1, keepdim=True)
                 models, scores = merged(minimal_solver(a, b, draws.flatten(0, 1), self.model).view(batch, -1, 3, 3))
         if self.degensac:

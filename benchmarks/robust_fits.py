@@ -327,13 +327,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
                     print(" ".join(f"{name:>13}" for name in rows[0]))
                 print(" ".join(f"{value:>13}" for value in rows[-1].values()), flush=True)
     if options.csv is not None:
-        about = [
-            f"# {about['hardware']}, torch {about['torch']}, opencv {about['peers']['opencv']}: `{about['command']}`",
-            f"# kvision {about['commit']}, {about['date'][:10]}; pixels, essential and pose degrees; ms on one thread",
-        ]
+        made = f"# {about['hardware']}, torch {about['torch']}, opencv {about['peers']['opencv']}, one thread"
+        units = "# pixels, of essential matrices and poses degrees, and milliseconds"
+        rows = [row | {"commit": (about["commit"] or "")[:8], "date": about["date"][:10]} for row in rows]
         keys = [(row["model"], row["pairs"], row["wrong"]) for row in rows]
         others = read(options.csv)[1] if options.csv.exists() else []
-        write(options.csv, about, [r for r in others if (r["model"], r["pairs"], r["wrong"]) not in keys] + rows)
+        write(
+            options.csv,
+            [f"{made}: `python -m benchmarks.robust_fits`", units],
+            [r for r in others if (r["model"], r["pairs"], r["wrong"]) not in keys] + rows,
+        )
     return 0
 
 

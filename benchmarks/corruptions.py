@@ -30,11 +30,10 @@ NOISE = "draws a map of noise, which is written and read again"
 REASONS = {
     "ChromaticAberration": "maps of two lenses a sample",
     "Defocus": "a window of 21 x 21 taps",
-    "Downscale": "two products of matrices",
+    "Downscale": "a map of indices is written and read again",
     "GlassBlur": "two blurs and a gather; " + NOISE,
     "GridDistortion": "a map is written and read again",
     "GridDropout": "its holes are drawn and placed by torch",
-    "GridMask": "a float64 map of the grid",
     "ISONoise": "HLS and back, Poisson counts of the incomplete gamma function; " + NOISE,
     "OpticalDistortion": "a map is written and read again",
     "PiecewiseAffine": "four gathers make a map",
@@ -55,7 +54,7 @@ REASONS = {
     "fog": "a fractal map in float64",
     "elastic_transform": "a map of blurred noise",
     "jpeg_compression": "a differentiable codec",
-    "pixelate": "two products of matrices",
+    "pixelate": "a block of threads has one row of blocks after the other",
     "brightness": "HSV and back",
     "saturate": "HSV and back",
 }

@@ -23,6 +23,7 @@ MODES = (
     ("ROBUST_LOSS", "RobustLoss", "geometry/optim/robust_losses.h", ""),
     ("MODEL", "Model", "geometry/solvers/minimal.h", "ops::Model"),
     ("CORRESPONDENCE_ERROR", "ErrorKind", "geometry/correspondence_errors.h", "ops::CorrespondenceError"),
+    ("BLOCK_VALUE", "BlockValue", "augmentation/corruption/pixelate.h", ""),
     ("BOX_DECAY", "Decay", "geometry/detection/suppression.h", ""),
     ("BOX_FORMAT", "BoxFormat", "metrics/boxes.h", ""),
     ("CONFUSION_STATISTIC", "ConfusionStatistic", "metrics/confusion_matrix.h", ""),
@@ -93,6 +94,9 @@ CONSTANTS = (
     ("MATRIX_INPUTS", "kMatrixInputs", "augmentation/transforms.h"),
     ("MAX_DRAWS", "kMaxDraws", "augmentation/draws.h"),
     ("MAX_DRAW_NUMBERS", "kMaxDrawNumbers", "augmentation/draws.h"),
+    ("MAX_PIECES", "kMaxPieces", "augmentation/mixing/pieces.h"),
+    ("MAX_PIXELATE_SIDE", "kMaxPixelateSide", "augmentation/corruption/pixelate.h"),
+    ("MAX_PIXELATE_ROW", "kMaxPixelateRow", "augmentation/corruption/pixelate.h"),
     ("MAX_TRANSFORMS", "kMaxTransforms", "augmentation/transforms.h"),
 )
 

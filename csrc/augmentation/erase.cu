@@ -1,4 +1,4 @@
-// Erased rectangles on CUDA: a block has a tile of all planes of a sample. It marks the erased pixels of the tile as
+// Erased parts on CUDA: a block has a tile of all planes of a sample. It marks the erased pixels of the tile as
 // bits, once for all planes, and each thread then has 16 bytes of a row.
 #include "augmentation/erase.h"
 #include "core/launch.cuh"
@@ -16,16 +16,13 @@ __device__ __forceinline__ void mark(uint32_t* words, int begin, int end) {
   }
 }
 
-// P elements of a row for each thread. A row of a channels-last image has all channels of its pixels.
-template <class T, int P>
-__global__ void __launch_bounds__(kEraseThreads)
-    erase_tiles(__grid_constant__ EraseRectangles<T> const p, unsigned tiles_down, unsigned tiles_across) {
-  static_assert(32 % P == 0, "a vector of one channel has the bits of one word");
-  __shared__ uint32_t erased[kEraseRows][kEraseWords];
-  unsigned const tile_x = blockIdx.x % tiles_across, t = blockIdx.x / tiles_across, tile_y = t % tiles_down;
-  int64_t const b = t / tiles_down, top = int64_t(tile_y) * kEraseRows, left = int64_t(tile_x) * kEraseColumns;
-  int const rows = int(min(p.x.height - top, int64_t(kEraseRows))),
-            columns = int(min(p.x.width - left, int64_t(kEraseColumns))), words = int(ceil_div(columns, 32));
+using TileBits = uint32_t[kEraseRows][kEraseWords];
+
+// Marks the erased pixels of the tile of sample b that begins at (left, top).
+template <class T>
+__device__ __forceinline__ void mark_tile(EraseRectangles<T> const& p, int64_t b, int64_t left, int64_t top,
+                                          int columns, int rows, TileBits& erased) {
+  int const words = int(ceil_div(columns, 32));
   for (int i = threadIdx.x; i < rows * words; i += kEraseThreads) erased[i / words][i % words] = 0;
   __syncthreads();
   for (int64_t i = threadIdx.x; i < p.num_boxes; i += kEraseThreads) {
@@ -35,6 +32,33 @@ __global__ void __launch_bounds__(kEraseThreads)
     int const begin = int(max(across.begin - left, int64_t(0))), end = int(min(across.end - left, int64_t(columns)));
     for (int y = first; y < last; ++y) mark(erased[y], begin, end);
   }
+}
+template <class T>
+__device__ __forceinline__ void mark_tile(EraseGrid<T> const& p, int64_t b, int64_t left, int64_t top, int columns,
+                                          int rows, TileBits& erased) {
+  __shared__ GridLines lines;
+  if (threadIdx.x == 0) lines = GridLines(p.grids + b * p.grid_stride, p.x.height, p.x.width);
+  __syncthreads();
+  int const words = int(ceil_div(columns, 32));
+  for (int i = int(threadIdx.x / 32); i < rows * words; i += kEraseThreads / 32) {
+    int const y = i / words, word = i % words;
+    unsigned const bits = __ballot_sync(~0u, lines.contains(left + 32 * word + threadIdx.x % 32, top + y));
+    if (threadIdx.x % 32 == 0) erased[y][word] = bits;
+  }
+}
+
+// P elements of a row for each thread. A row of a channels-last image has all channels of its pixels.
+template <class Params, int P>
+__global__ void __launch_bounds__(kEraseThreads)
+    erase_tiles(__grid_constant__ Params const p, unsigned tiles_down, unsigned tiles_across) {
+  using T = typename Params::Stored;
+  static_assert(32 % P == 0, "a vector of one channel has the bits of one word");
+  __shared__ TileBits erased;
+  unsigned const tile_x = blockIdx.x % tiles_across, t = blockIdx.x / tiles_across, tile_y = t % tiles_down;
+  int64_t const b = t / tiles_down, top = int64_t(tile_y) * kEraseRows, left = int64_t(tile_x) * kEraseColumns;
+  int const rows = int(min(p.x.height - top, int64_t(kEraseRows))),
+            columns = int(min(p.x.width - left, int64_t(kEraseColumns)));
+  mark_tile(p, b, left, top, columns, rows, erased);
   __syncthreads();
   int const step = int(p.x.step), vectors = columns * step / P, per_plane = rows * vectors;
   for (int i = threadIdx.x; i < per_plane * int(p.planes_per_sample); i += kEraseThreads) {
@@ -58,11 +82,11 @@ __global__ void __launch_bounds__(kEraseThreads)
   }
 }
 
-template <class T, int P>
-int launch_erase(EraseRectangles<T> const& p, CUstream_st* stream) {
+template <int P, class Params>
+int launch_tiles(Params const& p, CUstream_st* stream) {
   unsigned const down = unsigned(ceil_div(p.x.height, kEraseRows)),
                  across = unsigned(ceil_div(p.x.width, kEraseColumns));
-  erase_tiles<T, P><<<unsigned(p.samples) * down * across, kEraseThreads, 0, stream>>>(p, down, across);
+  erase_tiles<Params, P><<<unsigned(p.samples) * down * across, kEraseThreads, 0, stream>>>(p, down, across);
   return cudaGetLastError();
 }
 
@@ -74,15 +98,25 @@ bool has_whole_vectors(Planes<T> const& p) {
          p.row_stride * size % bytes == 0 && p.outer_stride * size % bytes == 0 && p.inner_stride * size % bytes == 0;
 }
 
+template <class Params>
+int launch_erase(Params const& p, CUstream_st* stream) {
+  constexpr int P = 16 / sizeof(typename Params::Stored);
+  return has_whole_vectors<P>(p.x) && has_whole_vectors<P>(p.y) ? launch_tiles<P>(p, stream)
+                                                                : launch_tiles<1>(p, stream);
+}
+
 }  // namespace
 
 template <class T>
 int erase_rectangles(EraseRectangles<T> const& p, CUstream_st* stream) {
-  constexpr int P = 16 / sizeof(T);
-  return has_whole_vectors<P>(p.x) && has_whole_vectors<P>(p.y) ? launch_erase<T, P>(p, stream)
-                                                                : launch_erase<T, 1>(p, stream);
+  return launch_erase(p, stream);
+}
+template <class T>
+int erase_grid(EraseGrid<T> const& p, CUstream_st* stream) {
+  return launch_erase(p, stream);
 }
 
 KV_INSTANTIATE_WITH_BYTES(erase_rectangles, EraseRectangles)
+KV_INSTANTIATE_WITH_BYTES(erase_grid, EraseGrid)
 
 }  // namespace kv::augmentation::cuda

@@ -1,30 +1,46 @@
-// Sets rectangles of images to a value: x <= column < x + width and y <= row < y + height, for pixels at whole numbers.
-// Included by erase_cpu.cpp, erase.cu and erase_op.cpp.
+// Sets parts of images to a value: rectangles, x <= column < x + width and y <= row < y + height for pixels at whole
+// numbers, or the lines of grids. Included by erase_cpu.cpp, erase.cu and erase_op.cpp.
 #pragma once
 
 #include "core/isa.h"
+#include "core/trigonometry.h"
 #include "core/view.h"
 
 namespace kv::augmentation {
 
 template <class T>
-struct EraseRectangles {
+struct Erase {
+  using Stored = T;
   Planes<T const> x;
   Planes<T> y;
-  float const* boxes;                                // (B, N, 4): x, y, width, height
-  Compute<T> const* values;                          // (B, C)
-  int64_t samples, num_boxes;                        // B, N
-  int64_t planes_per_sample;                         // 1 where a plane has all channels
-  int64_t box_stride, value_stride, channel_stride;  // of a sample, and of a channel
+  Compute<T> const* values;              // (B, C)
+  int64_t samples;                       // B
+  int64_t planes_per_sample;             // 1 where a plane has all channels
+  int64_t value_stride, channel_stride;  // of a sample, and of a channel
 
-  KV_HD float const* box(int64_t b, int64_t i) const { return boxes + b * box_stride + 4 * i; }
   // Of an element of a row of plane c of a sample.
   KV_HD Compute<T> value(int64_t b, int64_t c, int64_t element) const {
     return values[b * value_stride + (channel_stride && x.step > 1 ? element % x.step : c) * channel_stride];
   }
 };
 
+template <class T>
+struct EraseRectangles : Erase<T> {
+  float const* boxes;  // (B, N, 4): x, y, width, height
+  int64_t num_boxes, box_stride;
+
+  KV_HD float const* box(int64_t b, int64_t i) const { return boxes + b * box_stride + 4 * i; }
+};
+
+constexpr int kGridNumbers = 5;
+template <class T>
+struct EraseGrid : Erase<T> {
+  float const* grids;  // (B, kGridNumbers), see GridLines
+  int64_t grid_stride;
+};
+
 KV_KERNEL(erase_rectangles, EraseRectangles)
+KV_KERNEL(erase_grid, EraseGrid)
 
 // The pixels [begin, end) of a side that are erased. NaN erases none.
 struct ErasedRange {
@@ -43,6 +59,41 @@ struct ErasedRange {
     return whole + (double(whole) < x);
   }
   KV_HD bool contains(int64_t i) const { return begin <= i && i < end; }
+};
+
+// The lines of a grid that is turned about the center of an image, at whole pixels. Its numbers are the width of lines
+// as a fraction of a cell, the angle, the offsets along x and y in cells, and how many cells the shorter side has.
+// NaN has no lines.
+struct GridLines {
+  double cosine, sine, center_x, center_y;
+  int cell, line, first_x, first_y;
+
+  GridLines() = default;
+  KV_HD GridLines(float const* numbers, int64_t height, int64_t width)
+      : center_x(double(width - 1) / 2), center_y(double(height - 1) / 2) {
+    double const size = double(min(height, width));
+    sin_cos(double(numbers[1]), sine, cosine);
+    cell = whole(size / max(double(numbers[4]), 1.), 2, size);
+    line = numbers[1] == numbers[1] ? whole(cell * double(numbers[0]), 1, cell) : 0;
+    first_x = whole(double(numbers[2]) * cell, -cell, cell);
+    first_y = whole(double(numbers[3]) * cell, -cell, cell);
+  }
+  // The floor, within bounds; NaN is the lower one.
+  static KV_HD int whole(double x, double low, double high) {
+    double const within = x > low ? (x < high ? x : high) : low;
+    int const towards_zero = int(within);
+    return towards_zero - (double(towards_zero) > within);
+  }
+  KV_HD bool is_line(double x, int first) const {
+    constexpr double shift = 0x1.8p52;  // rounds half to even
+    int const at = (int((x + shift) - shift) - first) % cell;
+    return (at < 0 ? at + cell : at) < line;
+  }
+  KV_HD bool contains(int64_t column, int64_t row) const {
+    double const x = double(column) - center_x, y = double(row) - center_y;
+    return line > 0 &&
+           (is_line(cosine * x - sine * y + center_x, first_x) || is_line(sine * x + cosine * y + center_y, first_y));
+  }
 };
 
 }  // namespace kv::augmentation

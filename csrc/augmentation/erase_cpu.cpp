@@ -1,4 +1,4 @@
-// Erased rectangles on the CPU: rows [begin, end) of all planes. Compiled once per instruction set.
+// Erased parts on the CPU: rows [begin, end) of all planes. Compiled once per instruction set.
 #include <cstddef>
 
 #include "augmentation/erase.h"
@@ -6,23 +6,50 @@
 
 namespace kv::augmentation::KV_ISA {
 
-template <class T>
-void erase_rectangles(EraseRectangles<T> const& p, int64_t begin, int64_t end) {
+namespace {
+
+// Copies rows and calls erase_row(sample, row, erase), which calls erase(first pixel, end).
+template <class Params, class EraseRow>
+KV_HD void erase_rows(Params const& p, int64_t begin, int64_t end, EraseRow erase_row) {
+  using T = typename Params::Stored;
   for (int64_t r = begin; r < end; ++r) {
     int64_t const plane = r / p.x.height, y = r % p.x.height, step = p.x.step;
     int64_t const b = plane / p.planes_per_sample, c = plane % p.planes_per_sample;
     T* const row = p.y.row(plane, y);
     __builtin_memcpy(row, p.x.row(plane, y), size_t(p.x.row_size()) * sizeof(T));
+    erase_row(b, y, [&](int64_t first, int64_t last) {
+      for (int64_t i = first * step; i < last * step; ++i) store<1>(row + i, Lanes<Compute<T>, 1>(p.value(b, c, i)));
+    });
+  }
+}
+
+}  // namespace
+
+template <class T>
+void erase_rectangles(EraseRectangles<T> const& p, int64_t begin, int64_t end) {
+  erase_rows(p, begin, end, [&](int64_t b, int64_t y, auto erase) {
     for (int64_t k = 0; k < p.num_boxes; ++k) {
       float const* const box = p.box(b, k);
       if (!ErasedRange(box[1], box[3], p.x.height).contains(y)) continue;
       ErasedRange const columns(box[0], box[2], p.x.width);
-      for (int64_t i = columns.begin * step; i < columns.end * step; ++i)
-        store<1>(row + i, Lanes<Compute<T>, 1>(p.value(b, c, i)));
+      erase(columns.begin, columns.end);
     }
-  }
+  });
+}
+
+template <class T>
+void erase_grid(EraseGrid<T> const& p, int64_t begin, int64_t end) {
+  int64_t sample = -1;
+  GridLines lines;
+  erase_rows(p, begin, end, [&](int64_t b, int64_t y, auto erase) {
+    if (b != sample) lines = GridLines(p.grids + b * p.grid_stride, p.x.height, p.x.width);
+    sample = b;
+    for (int64_t x = 0; x < p.x.width; ++x)
+      if (lines.contains(x, y)) erase(x, x + 1);
+  });
 }
 
 KV_INSTANTIATE_WITH_BYTES(erase_rectangles, EraseRectangles)
+KV_INSTANTIATE_WITH_BYTES(erase_grid, EraseGrid)
 
 }  // namespace kv::augmentation::KV_ISA

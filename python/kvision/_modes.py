@@ -78,6 +78,9 @@ CORRESPONDENCE_ERROR = {
     "segments": 7,
 }
 CORRESPONDENCE_ERROR_NAMES = tuple(CORRESPONDENCE_ERROR)
+# BlockValue in csrc/augmentation/corruption/pixelate.h
+BLOCK_VALUE = {"mean": 0, "mean_of_whole": 1}
+BLOCK_VALUE_NAMES = tuple(BLOCK_VALUE)
 # Decay in csrc/geometry/detection/suppression.h
 BOX_DECAY = {"linear": 0, "gaussian": 1}
 BOX_DECAY_NAMES = tuple(BOX_DECAY)

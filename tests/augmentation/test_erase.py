@@ -1,10 +1,10 @@
-"""Erased rectangles."""
+"""Erased rectangles and grids."""
 
 import pytest
 import torch
 from torch import Tensor
 
-from kvision.augmentation.erase import erase_rectangles, is_erased
+from kvision.augmentation.erase import erase_grid, erase_rectangles, is_erased, is_line
 from op_tests import OpTests, assert_close
 
 
@@ -38,6 +38,50 @@ class TestEraseRectangles(OpTests):
 
     def test_wrong_kinds(self, variant, device):
         pytest.skip("the classes that call the operator check its input")
+
+
+def grids(x: Tensor) -> Tensor:
+    """(B, 5): lines of all widths, turned and at offsets, of more cells than there are pixels, too."""
+    some = torch.tensor(
+        [[0.3, 0.0, 0.4, 0.9, 2.0], [0.5, 0.5, 0.0, 1.0, 3.0], [0.0, -2.0, 0.5, 0.5, 40.0], [1.0, 1.0, 0.0, 0.0, 1.0]]
+    )
+    return some.repeat(x.shape[0] // 4 + 1, 1)[: x.shape[0]]
+
+
+class TestEraseGrid(OpTests):
+    operators = ("erase_grid",)
+    bytes = True
+    variants = [
+        {"grids": lambda x: (10 * grids(x)).long(), "values": lambda x: torch.rand(x.shape[0], 1)},
+        {"grids": lambda x: (10 * grids(x)[:1]).long(), "values": lambda x: torch.rand(x.shape[:2])},
+    ]
+    accepted = ("grids of torch.float32",)
+    mixed = ("grids",)
+
+    @staticmethod
+    def function(x: Tensor, grids: Tensor, values: Tensor) -> Tensor:
+        # Grids get no gradient, so that the variants have integers: ten times the numbers.
+        x = x if x.is_floating_point() or x.dtype == torch.uint8 else x.float()
+        return erase_grid(x, grids.float() / 10, values)
+
+    def test_wrong_kinds(self, variant, device):
+        pytest.skip("the classes that call the operator check its input")
+
+
+@pytest.mark.parametrize("layout", [torch.contiguous_format, torch.channels_last], ids=str)
+def test_lines_of_random_grids(layout, device):
+    """At sizes that are no multiples of a tile; what is halfway between two pixels may be on either side after a turn."""
+    x = torch.full((64, 3, 37, 61), 7, dtype=torch.uint8).contiguous(memory_format=layout)
+    lines = torch.rand(64, 5) * torch.tensor([1.0, 12.0, 1.0, 1.0, 9.0]) + torch.tensor([0.0, -6.0, 0.0, 0.0, 1.0])
+    lines[:8, 1] = 0
+    lines[:, 4] = lines[:, 4].floor()
+    values = torch.tensor([[1.0, 2, 3]]).expand(64, 3)
+    expected = torch.where(is_line(x, lines), values.byte()[:, :, None, None], x)
+    y = erase_grid(x.to(device), lines.to(device), values.to(device)).cpu()
+    assert torch.equal(y[:8], expected[:8]) and (y != expected).float().mean() < 1e-4
+    nothing = lines[:1].clone()
+    nothing[0, 1] = float("nan")
+    assert torch.equal(erase_grid(x[:1].to(device), nothing.to(device), values[:1].to(device)).cpu(), x[:1])
 
 
 def test_rectangles(device):

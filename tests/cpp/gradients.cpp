@@ -201,6 +201,9 @@ int main() {
   check(
       "erase_rectangles", [&](auto const& t) { return ops::erase_rectangles(t[0], boxes, t[1]); },
       {x, torch::rand({2, 1})}, false);
+  Tensor const grids = torch::tensor({{0.5f, 0.3f, 0.2f, 0.1f, 2.f}});
+  check(
+      "erase_grid", [&](auto const& t) { return ops::erase_grid(t[0], grids, t[1]); }, {x, torch::rand({2, 1})}, false);
   check(
       "transform_matrix",
       [](auto const& t) {

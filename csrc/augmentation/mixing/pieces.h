@@ -11,6 +11,8 @@ namespace kv::augmentation {
 // behind this one, at a distance of (dx, dy); 0 outside of its image. `user` is where the sample is whose piece of the
 // same number reads from this one, of which there is one.
 constexpr int kPieceNumbers = 9;
+constexpr int kMaxPieces = 512;        // of a sample, on CUDA
+constexpr int kMaxPieceRow = 1 << 29;  // elements of a row, and rows
 struct Piece {
   int64_t left, top, right, bottom, source, user, dx, dy;
   float weight;

@@ -1,4 +1,6 @@
 // Images made of pieces: schemas and entries, for CPU and CUDA.
+#include <algorithm>
+
 #include "augmentation/mixing/pieces.h"
 #include "glue/glue.h"
 
@@ -25,6 +27,12 @@ Tensor paste(char const* op, Tensor const& images, Tensor const& pieces, std::ve
                pieces.device() == images.device() && pieces.size(1) <= INT32_MAX,
            op, ": expected float32 pieces of shape (B, N, ", kPieceNumbers, ") on the device of images");
   KV_CHECK(size.size() == 2 && size[0] >= 0 && size[1] >= 0, op, ": expected a size of two numbers");
+#if defined(KV_CUDA)
+  KV_CHECK(pieces.size(1) <= kMaxPieces, op, ": expected at most ", kMaxPieces, " pieces, got ", pieces.size(1));
+#endif
+  int64_t const row = std::max(images.size(3), size[1]) * images.size(1);
+  KV_CHECK(std::max({images.size(2), size[0], row}) <= kMaxPieceRow, op, ": expected at most ", kMaxPieceRow,
+           " rows, and elements of a row");
   Layout const layout = layout_of(images);
   int64_t const sizes[] = {images.size(0), images.size(1), size[0], size[1]};
   Tensor const x = as_layout(images, layout), y = empty(sizes, x, layout);

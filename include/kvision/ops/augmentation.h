@@ -33,6 +33,10 @@ inline constexpr Operator<"choose_operations", Two(Tensor columns, Tensor table,
 
 inline constexpr Operator<"sum_of_moved", Tensor(Tensor images, Tensor moves)> sum_of_moved{no_gradient};
 
+// --- augmentation/corruption/pixelate_op.cpp
+
+inline constexpr Operator<"pixelate", Tensor(Tensor images, Tensor counts, int64_t value)> pixelate{no_gradient};
+
 // --- augmentation/draw_links_op.cpp
 
 inline constexpr Operator<"draw_links",
@@ -68,6 +72,8 @@ inline constexpr Operator<"elastic_displacements",
 
 inline constexpr Operator<"erase_rectangles", Tensor(Tensor images, Tensor boxes, Tensor values)> erase_rectangles{
     detail::rules::erase_rectangles};
+inline constexpr Operator<"erase_grid", Tensor(Tensor images, Tensor grids, Tensor values)> erase_grid{
+    detail::rules::erase_grid};
 
 // --- augmentation/mixing/pieces_op.cpp
 

@@ -1,13 +1,13 @@
-"""Sets rectangles of images to a value."""
+"""Sets rectangles of images, or the lines of grids, to a value."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import torch
 from torch import Tensor
 
-from kvision._ops import match_layout, register, saturate_to_byte
+from kvision._ops import Operator, match_layout, register, saturate_to_byte
 
 
 def is_erased(images: Tensor, boxes: Tensor) -> Tensor:
@@ -23,21 +23,45 @@ def is_erased(images: Tensor, boxes: Tensor) -> Tensor:
     return (reaches(y, h, height).mT @ reaches(x, w, width) > 0)[:, None]
 
 
-def _reference(images: Tensor, boxes: Tensor, values: Tensor) -> Tensor:
-    """Values (B, C), or (B, 1) for all channels, are in the units of the images."""
-    if images.dtype == torch.uint8:
-        values = saturate_to_byte(values)
-    filled = torch.where(is_erased(images, boxes), values.to(images.dtype)[:, :, None, None], images)
-    return match_layout(filled, images)
+def is_line(images: Tensor, grids: Tensor) -> Tensor:
+    """Which pixels (B, 1, H, W) lie on the lines of a grid that is turned about the center.
+
+    Grids (B, 5) have the width of lines as a fraction of a cell, the angle, the offsets along x and y in cells, and how many cells
+    the shorter side has.
+    """
+    height, width = images.shape[-2:]
+    of_line, angle, offset_x, offset_y, number = grids.double()[:, :, None, None].unbind(1)
+    cell = (min(height, width) / number).floor().clamp(min=2)
+    line = (cell * of_line).floor().clamp(min=1)
+    center_y, center_x = (height - 1) / 2, (width - 1) / 2
+    y = torch.arange(height, device=images.device)[:, None] - center_y
+    x = torch.arange(width, device=images.device) - center_x
+    cos, sin = angle.cos(), angle.sin()
+    along_x = (cos * x - sin * y + center_x).round() - (offset_x * cell).floor()
+    along_y = (sin * x + cos * y + center_y).round() - (offset_y * cell).floor()
+    return ((along_x.remainder(cell) < line) | (along_y.remainder(cell) < line))[:, None]
 
 
-def _backward(
-    needs: Sequence[bool], grad: Tensor, images: Tensor, boxes: Tensor, values: Tensor
-) -> list[Tensor | None]:
-    kept = erase_rectangles(grad, boxes, torch.zeros_like(values))
-    if not needs[2]:
-        return [kept, None, None]
-    return [kept, None, (grad - kept).to(values.dtype).sum((2, 3)).sum_to_size(values.shape)]
+def _eraser(name: str, is_part: Callable[[Tensor, Tensor], Tensor]) -> Operator:
+    """The operator that sets parts of images to values (B, C), or (B, 1) for all channels, in the units of the images."""
+
+    def reference(images: Tensor, parts: Tensor, values: Tensor) -> Tensor:
+        if images.dtype == torch.uint8:
+            values = saturate_to_byte(values)
+        filled = torch.where(is_part(images, parts), values.to(images.dtype)[:, :, None, None], images)
+        return match_layout(filled, images)
+
+    def backward(
+        needs: Sequence[bool], grad: Tensor, images: Tensor, parts: Tensor, values: Tensor
+    ) -> list[Tensor | None]:
+        kept = erase(grad, parts, torch.zeros_like(values))
+        if not needs[2]:
+            return [kept, None, None]
+        return [kept, None, (grad - kept).to(values.dtype).sum((2, 3)).sum_to_size(values.shape)]
+
+    erase = register(name, reference, backward=backward, bytes=True, casts_outputs=True)
+    return erase
 
 
-erase_rectangles = register("erase_rectangles", _reference, backward=_backward, bytes=True, casts_outputs=True)
+erase_rectangles = _eraser("erase_rectangles", is_erased)
+erase_grid = _eraser("erase_grid", is_line)

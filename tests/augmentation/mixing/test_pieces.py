@@ -86,6 +86,23 @@ def test_gradients_are_gathered(device):
     assert_close((grad * paste_pieces(y, of, [6, 8])).sum(), (to_x * y).sum())
 
 
+def test_many_pieces_of_many_rows(device):
+    """More cells than a warp has threads, in rows of more vectors than a block, and pieces that overlap those that read."""
+    x = torch.randint(0, 200, (3, 2, 40, 1200), device=device).double().requires_grad_()
+    made = []
+    for n in range(60):
+        window = torch.randint(-20, 60, (3, 4)) * torch.tensor([20, 1, 20, 1])
+        window[:, 2:] = window[:, :2] + torch.tensor([300, 9])
+        partner = torch.arange(3) if n % 3 else torch.arange(3).roll(n)
+        made.append(make_piece(window, partner, torch.randint(-9, 9, (3, 2)), (1.0, 0.5, 0.25)[n % 3]))
+    of = torch.stack(made, 1).to(device)
+    y = paste_pieces(x, of, [40, 1200])
+    assert_close(y, paste_pieces.reference(x, of, [40, 1200]))
+    grad = torch.randint(0, 200, y.shape, device=device).double()
+    (to_x,) = torch.autograd.grad(y, x, grad)
+    assert_close(to_x, torch.autograd.grad(paste_pieces.reference(x, of, [40, 1200]), x, grad)[0])
+
+
 CLASSES = {
     "mixup": A.RandomMixUpV2((0.1, 0.9)),
     "cutmix": A.RandomCutMixV2(num_mix=2, cut_size=(0.2, 0.7), p=0.6),

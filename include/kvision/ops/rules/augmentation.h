@@ -25,12 +25,11 @@ inline constexpr auto noise_gradients = [](Backward const& b) -> variable_list {
   return {b.grad(), at::sum_to(to_each, parameters.sizes())};
 };
 
-inline constexpr auto erased_gradients = [](Backward const& b) -> variable_list {
-  Tensor const values = b.tensor(2),
-               kept = b.call("erase_rectangles", {{"images", b.grad()}, {"values", at::zeros_like(values)}})[0];
+inline variable_list erased_gradients(Backward const& b, char const* op) {
+  Tensor const values = b.tensor(2), kept = b.call(op, {{"images", b.grad()}, {"values", at::zeros_like(values)}})[0];
   if (!b.needs(2)) return {kept};
   return {kept, Tensor(), at::sum_to((b.grad() - kept).to(values.scalar_type()).sum({2, 3}), values.sizes())};
-};
+}
 
 // The columns have gradients from the steps that read them and from the matrices that are made of them.
 inline constexpr auto warp_and_color_gradients = [](Backward const& b) -> variable_list {
@@ -67,6 +66,7 @@ inline constexpr Rule elastic_displacements{[](Backward const& b) -> variable_li
       at::stack({grad.select(1, 0) * b.arguments[8].toDouble(), grad.select(1, 1) * b.arguments[9].toDouble()}, 1);
   return {b.call("gaussian_blur2d_backward", {{"grad", scaled}, {"sigma", {}}, {"border", int64_t(0)}})[0]};
 }};
-inline constexpr Rule erase_rectangles{erased_gradients};
+inline constexpr Rule erase_rectangles{[](Backward const& b) { return erased_gradients(b, "erase_rectangles"); }};
+inline constexpr Rule erase_grid{[](Backward const& b) { return erased_gradients(b, "erase_grid"); }};
 
 }  // namespace kvision::ops::detail::rules

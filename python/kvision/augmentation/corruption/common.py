@@ -13,11 +13,12 @@ from kvision import _check
 from kvision._clamp import clamp
 from kvision._constants import constant
 from kvision._dtype import compute_dtype
+from kvision._modes import BLOCK_VALUE
 from kvision.augmentation import maps
 from kvision.augmentation.corruption.blurs import disk_kernels, glass, mean_of_enlargements, reach_of
-from kvision.augmentation.corruption.downscale import block_means
 from kvision.augmentation.corruption.moved import sum_of_moved
 from kvision.augmentation.corruption.noises import as_stored, in_units, photons
+from kvision.augmentation.corruption.pixelate import pixelate
 from kvision.augmentation.corruption.weather import WINDOW, as_textures, cut_textures, fogged, spattered
 from kvision.augmentation.engine import Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
@@ -193,8 +194,9 @@ def _elastic_transform(x: Tensor, drawn: Params, alpha: float) -> Tensor:
 
 
 def _pixelate(x: Tensor, drawn: Params, scale: float) -> Tensor:
-    sizes = [x.new_full((len(x), 1), max(int(n * scale), 1), dtype=torch.float64) for n in x.shape[-2:]]
-    return block_means(x, sizes, True)
+    counts = constant((tuple(max(int(n * scale), 1) for n in x.shape[-2:]),), x, torch.float32)
+    y: Tensor = pixelate(x, counts, BLOCK_VALUE["mean_of_whole"])
+    return y
 
 
 def _jpeg_compression(x: Tensor, drawn: Params, quality: float) -> Tensor:
@@ -225,6 +227,7 @@ class Corruption(NamedTuple):
     map: Map | None = None
     angle: tuple[float, float] | None = None  # degrees
     fused: Callable[..., Tensor] | None = None  # of images of any type, the source of noise and the parameters
+    takes_bytes: bool = False  # as they are
 
 
 def _each(*numbers: float) -> tuple[tuple[float, ...], ...]:
@@ -270,7 +273,7 @@ CORRUPTIONS: dict[str, Corruption] = {
     "elastic_transform": Corruption(
         _elastic_transform, _each(12.5, 16.25, 21.25, 25.0, 30.0), NoiseMap(size=(2, None, None))
     ),
-    "pixelate": Corruption(_pixelate, _each(0.6, 0.5, 0.4, 0.3, 0.25)),
+    "pixelate": Corruption(_pixelate, _each(0.6, 0.5, 0.4, 0.3, 0.25), takes_bytes=True),
     "jpeg_compression": Corruption(_jpeg_compression, _each(25, 18, 15, 10, 7)),
     "speckle_noise": Corruption(_speckle_noise, _each(0.15, 0.2, 0.35, 0.45, 0.6), fused=_normal_factors),
     "gaussian_blur": Corruption(_gaussian_blur, _each(1, 2, 3, 4, 6)),
@@ -341,11 +344,12 @@ class CommonCorruption(IntensityAugmentationBase2D, keeps_contract=True):
             raise ValueCheckError(f"{op}: expected texture for 'frost' and no other name, got {name!r}")
         self.name, self.severity = name, severity
         self.register_buffer("texture", None if texture is None else as_textures(op, texture), persistent=False)
-        self.accepts_bytes = self.fuses_noise = CORRUPTIONS[name].fused is not None
+        self.fuses_noise = CORRUPTIONS[name].fused is not None
+        self.accepts_bytes = self.fuses_noise or CORRUPTIONS[name].takes_bytes
         self._param_generator = self._generator(op)
 
     def _generator(self, op: str) -> RandomGeneratorBase:
-        _, severities, map, angle, _ = CORRUPTIONS[self.name]
+        _, severities, map, angle, *_ = CORRUPTIONS[self.name]
         numbers = severities[self.severity - 1]
         if self.name == "fog":
             return PlasmaGenerator(op, (numbers[1], numbers[1]), one_channel=True)
@@ -363,9 +367,11 @@ class CommonCorruption(IntensityAugmentationBase2D, keeps_contract=True):
         numbers = corruption.severities[self.severity - 1]
         if corruption.fused is not None and "_noise" in params:
             return corruption.fused(input, params["_noise"][1], *numbers)
-        x = in_units(input)
+        x = input if corruption.takes_bytes else in_units(input)
         drawn: Params = {name: params[name].to(x) for name in ("noise", "angle", "plasma") if name in params}
         if self.texture is not None:
             drawn["frost"] = cut_textures(self, params, x)
         y = corruption.apply(x, drawn, *numbers)
+        if y.dtype == torch.uint8:
+            return y
         return as_stored(y, input) if input.dtype == torch.uint8 else clamp(y, 0, 1)

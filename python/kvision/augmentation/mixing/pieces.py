@@ -15,6 +15,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from kvision._limits import MAX_PIECES
 from kvision._modes import MIX_KIND
 from kvision._ops import match_layout, register
 from kvision.augmentation.random_generator import mix as drawn
@@ -153,6 +154,13 @@ def _paste_backward_reference(grad: Tensor, pieces: Tensor, size: Sequence[int])
     return match_layout(vjp_fn(grad)[0], grad)
 
 
+def _supports(images: Tensor, pieces: Tensor, *_: Any) -> str | None:
+    """On CUDA the pieces of a sample fit shared memory."""
+    if images.is_cuda and pieces.shape[1] > MAX_PIECES:
+        return f"there is no kernel for more than {MAX_PIECES} pieces, here {pieces.shape[1]}"
+    return None
+
+
 def _size(images: Tensor, pieces: Any, size: Sequence[int]) -> tuple[int, ...]:
     return (*images.shape[:2], *size)
 
@@ -162,6 +170,7 @@ paste_pieces = register(
     "paste_pieces",
     _paste_reference,
     fake=_size,
+    supports=_supports,
     gradients="images: paste_pieces_backward(size=sizes(images))",
     linear=True,
     bytes=True,
@@ -170,6 +179,7 @@ paste_pieces_backward = register(
     "paste_pieces_backward",
     _paste_backward_reference,
     fake=_size,
+    supports=_supports,
     gradients="grad: paste_pieces(images=grad_grad, size=sizes(grad))",
     linear=True,
 )

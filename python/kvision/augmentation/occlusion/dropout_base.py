@@ -10,6 +10,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._constants import constant
 from kvision._dtype import compute_dtype
+from kvision._ops import Operator
 from kvision.augmentation import ranges
 from kvision.augmentation.engine import Execution, Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
@@ -61,3 +62,28 @@ class DropoutBase(IntensityAugmentationBase2D, keeps_contract=True):
         if execution.chosen is not None:
             dropped = dropped & execution.chosen.to(masks.device)[:, None, None, None].bool()
         return masks.masked_fill(dropped, flags.get("mask_fill", self.fill_mask))
+
+
+class ErasingDropout(DropoutBase, keeps_contract=True):
+    """A class whose parts an operator sets to values."""
+
+    eraser: ClassVar[Operator]
+
+    def _parts(self, params: Params, shape: tuple[int, ...], device: torch.device) -> Tensor:
+        """The parts of images of a shape, float32 (B, ...), as the operator takes them."""
+        raise NotImplementedError(f"{type(self).__name__}._parts")
+
+    def is_dropped(self, params: Params, shape: tuple[int, ...], device: torch.device) -> Tensor:
+        kept = torch.ones((shape[0], 1, *shape[-2:]), dtype=torch.uint8, device=device)
+        zero = torch.zeros(1, 1, device=device)
+        erased: Tensor = self.eraser(kept, self._parts(params, shape, device), zero)
+        return erased == 0
+
+    def apply_transform(
+        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
+    ) -> Tensor:
+        if isinstance(self.fill, str):
+            return super().apply_transform(input, params, flags, transform)
+        parts, values = self._parts(params, tuple(input.shape), input.device), self._values(input, params)
+        y: Tensor = self.eraser(input, parts, values[:, :, 0, 0])
+        return y

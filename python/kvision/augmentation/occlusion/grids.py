@@ -12,7 +12,8 @@ from kvision import _check
 from kvision._constants import constant
 from kvision.augmentation import ranges
 from kvision.augmentation.engine import Params
-from kvision.augmentation.occlusion.dropout_base import DropoutBase
+from kvision.augmentation.erase import erase_grid
+from kvision.augmentation.occlusion.dropout_base import ErasingDropout
 from kvision.augmentation.occlusion.holes import HoleDropout
 from kvision.augmentation.random_generator.mapped import MappedGenerator
 from kvision.augmentation.random_generator.occlusion import GridDropoutGenerator, fill_maps, units_along
@@ -72,7 +73,7 @@ class GridDropout(HoleDropout, keeps_contract=True):
         is_random = _check.switch(op, "random_offset", random_offset)
         self._param_generator = GridDropoutGenerator(unit_size_range, holes_number_xy, is_random, self.fill)
 
-    def _holes(self, params: Params, shape: tuple[int, ...], device: torch.device) -> Tensor:
+    def _parts(self, params: Params, shape: tuple[int, ...], device: torch.device) -> Tensor:
         counts, at = self._param_generator.counts(shape), None
         if (unit_range := self._param_generator.unit_size_range) is not None:
             at = params["unit_size"].to(device).long() - unit_range[0]
@@ -108,7 +109,7 @@ class GridDropout(HoleDropout, keeps_contract=True):
         return first + (u * (free + 1)).floor().minimum(free), hole
 
 
-class GridMask(DropoutBase, keeps_contract=True):
+class GridMask(ErasingDropout, keeps_contract=True):
     """Fill the lines of a grid, at a random position and angle, with a value.
 
     Source: Chen and others, GridMask data augmentation, 2020, with the parameters of Albumentations.
@@ -132,6 +133,8 @@ class GridMask(DropoutBase, keeps_contract=True):
         >>> drop(torch.ones(1, 1, 8, 8)).sum()
         tensor(36.)
     """
+
+    eraser = erase_grid
 
     def __init__(
         self,
@@ -157,18 +160,6 @@ class GridMask(DropoutBase, keeps_contract=True):
             op=op,
         )
 
-    def is_dropped(self, params: Params, shape: tuple[int, ...], device: torch.device) -> Tensor:
-        height, width = shape[-2:]
-        width_of_line, angle, offset_x, offset_y, number = (
-            params[name].to(device).double()[:, None, None]
-            for name in ("line_width", "rotation", "offset_x", "offset_y", "num_grid")
-        )
-        cell = (min(height, width) / number).floor().clamp(min=2)
-        line = (cell * width_of_line).floor().clamp(min=1)
-        center_y, center_x = (height - 1) / 2, (width - 1) / 2
-        y = torch.arange(height, device=device)[:, None] - center_y
-        x = torch.arange(width, device=device) - center_x
-        cos, sin = angle.cos(), angle.sin()
-        along_x = (cos * x - sin * y + center_x).round() - (offset_x * cell).floor()
-        along_y = (sin * x + cos * y + center_y).round() - (offset_y * cell).floor()
-        return ((along_x.remainder(cell) < line) | (along_y.remainder(cell) < line))[:, None]
+    def _parts(self, params: Params, shape: tuple[int, ...], device: torch.device) -> Tensor:
+        names = ("line_width", "rotation", "offset_x", "offset_y", "num_grid")
+        return torch.stack([params[name].to(device, torch.float32) for name in names], 1)

@@ -10,33 +10,19 @@ from torch import Tensor
 from kvision.augmentation import ranges
 from kvision.augmentation.engine import Params
 from kvision.augmentation.erase import erase_rectangles
-from kvision.augmentation.occlusion.dropout_base import DropoutBase
+from kvision.augmentation.occlusion.dropout_base import ErasingDropout
 from kvision.augmentation.random_generator.occlusion import Holes, HolesGenerator, Lengths
 from kvision.augmentation.ranges import Numbers
 
 
-class HoleDropout(DropoutBase, keeps_contract=True):
+class HoleDropout(ErasingDropout, keeps_contract=True):
     """A class whose parameter `holes` (B, N, 4) has the x, y, width and height of rectangles."""
 
-    def _holes(self, params: Params, shape: tuple[int, ...], device: torch.device) -> Tensor:
-        """The rectangles of images of a shape, float32 (B, N, 4)."""
+    eraser = erase_rectangles
+
+    def _parts(self, params: Params, shape: tuple[int, ...], device: torch.device) -> Tensor:
         drawn: Tensor = params["holes"].to(device, torch.float32)
         return drawn
-
-    def is_dropped(self, params: Params, shape: tuple[int, ...], device: torch.device) -> Tensor:
-        kept = torch.ones((shape[0], 1, *shape[-2:]), dtype=torch.uint8, device=device)
-        zero = torch.zeros(1, 1, device=device)
-        erased: Tensor = erase_rectangles(kept, self._holes(params, shape, device), zero)
-        return erased == 0
-
-    def apply_transform(
-        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
-    ) -> Tensor:
-        if isinstance(self.fill, str):
-            return super().apply_transform(input, params, flags, transform)
-        holes, values = self._holes(params, tuple(input.shape), input.device), self._values(input, params)
-        y: Tensor = erase_rectangles(input, holes, values[:, :, 0, 0])
-        return y
 
 
 class CoarseDropout(HoleDropout, keeps_contract=True):

@@ -1,0 +1,55 @@
+"""Images of blocks: each pixel becomes the mean of the block that its center lies in."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from kvision._dtype import compute_dtype
+from kvision._limits import MAX_PIXELATE_ROW, MAX_PIXELATE_SIDE
+from kvision._modes import BLOCK_VALUE
+from kvision._ops import match_layout, register, without_autocast_and_tf32
+
+
+@without_autocast_and_tf32
+def _reference(images: Tensor, counts: Tensor, value: int) -> Tensor:
+    """`counts` (B, 2) of blocks down and across, whole numbers from 1 to the pixels that there are.
+
+    A block is the mean of what it covers of pixels, or of the pixels whose centers it covers, as in Pillow's box filter.
+    """
+    sizes, own = images.shape[-2:], compute_dtype(images)
+    each = [count.long().clamp(min=1).clamp(max=size)[:, None] for count, size in zip(counts.unbind(1), sizes)]
+    is_whole = value == BLOCK_VALUE["mean_of_whole"]
+    down, across = (_weights(size, count, is_whole).to(own)[:, None] for size, count in zip(sizes, each))
+    x = images.to(own)
+    is_number = x.isfinite()  # blocks that have none keep away from the sums of others
+    mean = down @ torch.where(is_number, x, 0) @ across.mT
+    has_others = (down > 0).to(own) @ (~is_number).to(own) @ (across > 0).to(own).mT > 0
+    mean = torch.where(has_others, torch.nan, mean)
+    return match_layout((mean.round() if images.dtype == torch.uint8 else mean).to(images.dtype), images)
+
+
+def _weights(size: int, count: Tensor, is_whole: bool) -> Tensor:
+    """Weights (B, size, size) of pixels in the blocks of others: those that the center of a pixel is in."""
+    low = (
+        torch.arange(size, device=count.device) * count
+    )  # of a pixel, whose length is `count`; that of a block is `size`
+    first = ((2 * low + count) // (2 * size) * size)[..., None]
+    last, low, high = first + size, low[:, None], (low + count)[:, None]
+    if is_whole:
+        covered = (low + high > 2 * first) & (low + high <= 2 * last)
+    else:
+        covered = (torch.minimum(high, last) - torch.maximum(low, first)).clamp(min=0)
+    return covered.double() / covered.sum(2, keepdim=True)
+
+
+def _supports(images: Tensor, *_: object) -> str | None:
+    """Positions fit 32 bits, and on CUDA a row fits shared memory."""
+    height, width = images.shape[-2:]
+    row = width * (1 if images.is_contiguous() else images.shape[1])
+    if max(height, width) > MAX_PIXELATE_SIDE or (images.is_cuda and row > MAX_PIXELATE_ROW):
+        return f"there is no kernel for images as large as {tuple(images.shape)}"
+    return None
+
+
+pixelate = register("pixelate", _reference, bytes=True, supports=_supports)

@@ -281,3 +281,26 @@ def test_wrong_arguments() -> None:
         A.AugmentationSequential(filtered, data_keys=["image", "bbox_xyxy"])(
             torch.rand(9, 3, 8, 8), torch.rand(9, 1, 4)
         )
+
+
+@pytest.mark.native
+@pytest.mark.parametrize("layout", [torch.contiguous_format, torch.channels_last], ids=str)
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float16, torch.uint8], ids=str)
+def test_rows_of_batches_are_copied_as_one(
+    dtype: torch.dtype, layout: torch.memory_format, device: torch.device
+) -> None:
+    """More rows than a launch takes, of sizes that are no multiples of a vector, and in any order."""
+    for side in (1, 5, 16):
+        parts = [
+            torch.randint(0, 100, (n, 3, side, 7), device=device).to(dtype).contiguous(memory_format=layout)
+            for n in (200, 1, 150)
+        ]
+        rows = torch.randint(0, 351, (400,)).tolist()
+        y = torch.ops.kvision.copy_rows(parts, rows)
+        assert torch.equal(y, torch.cat(parts)[rows]) and y.is_contiguous(memory_format=layout)
+        views = [part[:, 1:2] for part in parts]
+        assert torch.equal(torch.ops.kvision.copy_rows(views, rows), torch.cat(views)[rows])
+    with pytest.raises(RuntimeError, match="copy_rows: expected rows within 0 and 351, got 351"):
+        torch.ops.kvision.copy_rows(parts, [351])
+    with pytest.raises(RuntimeError, match="copy_rows: expected parts of one size"):
+        torch.ops.kvision.copy_rows([parts[0], parts[1][..., :2]], [0])

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from kvision._ops import FastPath
 from kvision._torch_compat import in_function_transform
 from kvision.augmentation.engine.augmentation import AugmentationBase
 from kvision.augmentation.engine.record import Child
@@ -23,6 +24,11 @@ from kvision.augmentation.engine.stages import Chain, MaskReading, Stage
 from kvision.augmentation.warp_and_color import SAME, make_pass
 from kvision.core.exceptions import ShapeError, ValueCheckError
 from kvision.core.pixels import to_unit
+
+# Rows of batches (B, C, H, W) of one size and type as one batch, by their numbers as if these were one.
+_copy_rows = FastPath(
+    "copy_rows", (torch.float32, torch.float64, torch.float16, torch.bfloat16, torch.uint8, torch.int64, torch.bool)
+)
 
 # --- the plan -------------------------------------------------------------------------------------------------------
 
@@ -125,6 +131,9 @@ def read_rows(x: Tensor, rows: Sequence[int]) -> Tensor:
     first, count = rows[0], len(rows)
     if rows[-1] - first == count - 1 and all(row == first + i for i, row in enumerate(rows)):
         return x if count == len(x) else x[first : first + count]
+    if x.dim() == 4 and _copy_rows.serves(x):
+        copied: Tensor = _copy_rows.kernel([x], list(rows))
+        return copied
     index = _index(rows, x)
     if _is_channels_last(x):
         return x.permute(0, 2, 3, 1).index_select(0, index).permute(0, 3, 1, 2)
@@ -142,6 +151,10 @@ def _index(rows: Sequence[int], like: Tensor) -> Tensor:
 def _interleaved(tensors: Sequence[Tensor], positions: Sequence[Sequence[int]]) -> Tensor:
     """One batch of the rows of tensors, which come to these positions."""
     first, dtype = tensors[0], tensors[0].dtype
+    if first.dim() == 4 and all(tensor.dtype == dtype and _copy_rows.serves(tensor) for tensor in tensors):
+        order = sorted((at, row) for row, at in enumerate(chain(*positions)))
+        copied: Tensor = _copy_rows.kernel(list(tensors), [row for _, row in order])
+        return copied
     has_one_type = all(tensor.dtype == dtype for tensor in tensors)
     needs_graph = torch.is_grad_enabled() and any(tensor.requires_grad for tensor in tensors)
     if needs_graph or not has_one_type or in_function_transform():

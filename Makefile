@@ -68,7 +68,7 @@ build: $(READY)
 
 # What compiles, without kvision.
 $(ENVIRONMENT): constraints.txt
-	@echo "kvision: the first time takes as long as the downloads take, and about three minutes on two cores"
+	@echo "kvision: the first time takes as long as the downloads take, and about four minutes on two cores"
 	@$(PYTHON) -c 'import sys; v = sys.version_info; sys.exit(f"kvision needs Python 3.10 or newer; $(PYTHON) is {v.major}.{v.minor}: set PYTHON=" if v < (3, 10) else 0)'
 	$(PYTHON) -m venv .venv
 	$(PIP) setuptools cmake ninja pybind11 torch

@@ -1,7 +1,11 @@
-# CMake toolchain: Debian's g++-aarch64-linux-gnu compiles, qemu-user runs what it made.
+# CMake toolchain: Debian's g++-aarch64-linux-gnu compiles, or the Clang that CXX names; qemu-user runs what it made.
 set(CMAKE_SYSTEM_NAME Linux)
 set(CMAKE_SYSTEM_PROCESSOR aarch64)
 set(CMAKE_CXX_COMPILER aarch64-linux-gnu-g++)
+if("$ENV{CXX}" MATCHES "clang")
+  set(CMAKE_CXX_COMPILER $ENV{CXX})
+  set(CMAKE_CXX_COMPILER_TARGET aarch64-linux-gnu)
+endif()
 set(CMAKE_CROSSCOMPILING_EMULATOR qemu-aarch64 -L /usr/aarch64-linux-gnu)
 set(CMAKE_FIND_ROOT_PATH /usr/aarch64-linux-gnu)
 set(CMAKE_FIND_ROOT_PATH_MODE_PROGRAM NEVER)

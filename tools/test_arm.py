@@ -2,9 +2,11 @@
 
     python tools/test_arm.py                           csrc/tests: half a minute
     python tools/test_arm.py --library                 besides, all of libkvision.so, compiled, linked and audited: minutes
-    python tools/test_arm.py --torch FOLDER...         besides, an operator in the LibTorch for ARM of these folders
+    python tools/test_arm.py --torch FOLDER...         besides, CALLS by it in the LibTorch for ARM of these folders: a minute more
+    CXX=clang++-19 python tools/test_arm.py ...        compiled by Clang instead of GCC
 
-It needs an aarch64 GCC and qemu-user: apt install g++-aarch64-linux-gnu qemu-user. The library is linked with an empty stand-in for
+It needs an aarch64 GCC, which brings the headers and libraries that Clang uses too, and qemu-user:
+apt install g++-aarch64-linux-gnu qemu-user. The library is linked with an empty stand-in for
 libtorch_cpu.so, and the audit finds nothing undefined but torch's stable interface and the runtimes of C and C++. FOLDER is
 torch/lib of the aarch64 wheel of the installed version of torch:
 
@@ -23,6 +25,7 @@ import re
 import shutil
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -30,6 +33,14 @@ import audit_symbols
 
 ROOT = Path(__file__).parents[1]
 TOOLCHAIN = ROOT / "tools/aarch64.cmake"
+# Of benchmarks/sample_calls, one or more for each way in which kernels read memory.
+CALLS = (
+    "color.rgb_to_grayscale color.rgb_to_hsv color.rgb_to_lab contrib.connected_components contrib.distance_transform "
+    "contrib.extract_tensor_patches enhance.adjust_hue enhance.equalize enhance.equalize_clahe enhance.jpeg_codec_differentiable "
+    "filters.bilateral_blur filters.box_blur filters.canny filters.filter2d filters.gaussian_blur2d filters.median_blur "
+    "filters.sobel filters.spatial_gradient geometry.hflip geometry.pyrdown geometry.remap geometry.resize geometry.warp_affine "
+    "geometry.warp_perspective losses.ssim_loss losses.total_variation morphology.dilation"
+).split()
 
 
 def missing() -> list[str]:
@@ -88,7 +99,45 @@ def build_library(folder: Path) -> Path:
     return library
 
 
-def call_operator(library: Path, torch: list[Path], folder: Path) -> None:
+def trace_calls(folder: Path) -> list[Path]:
+    """CALLS, traced here; each gives its largest difference from this machine's result."""
+    sys.path.insert(0, str(ROOT))
+    import torch
+
+    import kvision as K
+    from benchmarks.sample_calls import Size, sample_calls
+    from benchmarks.sample_calls.model import SampleCall
+
+    folder.mkdir(parents=True, exist_ok=True)
+
+    class Call(torch.nn.Module):
+        def __init__(self, call: SampleCall) -> None:
+            super().__init__()
+            self.call, self.tensors = call, call.tensors(Size(2, 3, 17, 70))
+            self.expected = self.results()
+
+        def results(self) -> list[torch.Tensor]:
+            result = self.call.call(K, self.tensors)
+            return [result] if isinstance(result, torch.Tensor) else list(result)
+
+        def forward(self) -> torch.Tensor:
+            both = zip(self.results(), self.expected)
+            return torch.stack([(a.double() - b.double()).abs().max() for a, b in both]).max()
+
+    calls = {call.name: call for call in sample_calls()}
+    paths, operators = [], set()
+    for name in CALLS:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of sizes that are recorded as numbers
+            traced = torch.jit.trace(Call(calls[name]), ())
+        operators |= set(re.findall(r"kvision::(\w+)", str(traced.inlined_graph)))
+        paths.append(folder / f"{name}.pt")
+        traced.save(str(paths[-1]))
+    print(f"{len(operators)} operators: {' '.join(sorted(operators))}")
+    return paths
+
+
+def call_operators(library: Path, torch: list[Path], folder: Path) -> None:
     """The library in the LibTorch for ARM of the folders `torch`."""
     headers, program = torch_headers(), folder / "call_operator"
     run(
@@ -97,7 +146,8 @@ def call_operator(library: Path, torch: list[Path], folder: Path) -> None:
         *("-Wl,--allow-shlib-undefined", "-rdynamic"),
     )
     path = ":".join(str(part.resolve()) for part in torch)
-    run("qemu-aarch64", "-L", "/usr/aarch64-linux-gnu", "-E", f"LD_LIBRARY_PATH={path}", program, library)
+    emulator = ("qemu-aarch64", "-L", "/usr/aarch64-linux-gnu", "-E", f"LD_LIBRARY_PATH={path}")
+    run(*emulator, program, library, *trace_calls(folder / "calls"))
 
 
 if __name__ == "__main__":
@@ -113,4 +163,4 @@ if __name__ == "__main__":
         library = build_library(options.folder / "library")
         print(f"{library}: {library.stat().st_size / 1e6:.1f} MB, stable symbols only")
         if options.torch:
-            call_operator(library, options.torch, options.folder)
+            call_operators(library, options.torch, options.folder)

@@ -18,12 +18,13 @@ namespace {
 constexpr int kBandThreads = 128, kBandBlocks = 5;  // of a block; at once on a multiprocessor
 constexpr int kOwn = 8, kSpan = kBandThreads * kOwn;
 constexpr int kAtOnce = 2;  // rows of the result between barriers
-constexpr int kMaxBandRows = 16, kMaxBandColumns = 512;
+constexpr int kMinBandRows = 4, kMaxBandRows = 32, kMaxBandColumns = 512;
 // Rows of codes are added to at most as many rows of the result at once, of luma and of chroma.
 constexpr int kLumaRows = 2, kChromaRows = 3;
 // The sums of a row: even columns of luma, odd ones, pairs of chroma. Where a frame shrinks to a half, threads read
 // every second column: then they read neighbors. Odd columns begin in another half of the banks.
 constexpr int kOddColumns = kSpan / 2 + 16, kChromaSums = kSpan + 16, kRowSums = 2 * kSpan + 16;
+constexpr int kFewLuma = 4, kFewChroma = 3;  // taps of small windows
 
 enum class CodeLayout : int { pairs, swapped_pairs, planes, packed };
 
@@ -34,16 +35,23 @@ struct BandPlan {
   // What tables have room for.
   int luma_taps, chroma_taps, luma_steps, chroma_steps;
 
+  // Of a column: the weights and where they belong; of small windows all are there.
+  int column_size() const { return max(kFewLuma + kFewChroma, luma_taps + chroma_taps) + 1; }
   int64_t bytes() const {
-    return 4 * (kAtOnce * kRowSums + int64_t(columns) * (1 + luma_taps + chroma_taps)) +
-           int64_t(16) * (luma_steps + chroma_steps);
+    return 4 * (kAtOnce * kRowSums + int64_t(columns) * column_size()) + int64_t(16) * (luma_steps + chroma_steps);
   }
 };
 
-// A row of codes, and its weights in the first row of the result that is not complete, and in those that follow.
+// A row of codes, and its weights in the rows of the result, which are numbered from 0 again after the last one that
+// takes rows of codes at once.
 struct alignas(16) BandStep {
-  int row;
   float weights[3];
+  int row;
+
+  static __device__ __forceinline__ BandStep load(BandStep const* from) {
+    auto const words = *reinterpret_cast<Vector<uint32_t, 4> const*>(from);
+    return {{__uint_as_float(words.v[0]), __uint_as_float(words.v[1]), __uint_as_float(words.v[2])}, int(words.v[3])};
+  }
 };
 
 // Words of which `bytes` bytes exist, at least one. `vectors`: all words are one aligned vector where they all exist.
@@ -78,7 +86,8 @@ struct OwnCodes {
   }
 };
 
-template <class S>
+// Plain: pairs of chroma, all rows begin at vectors, and end with one.
+template <class S, bool Plain>
 struct BandRows {
   CodeLayout layout;
   char const *luma, *chroma, *v;  // the first own column of the first row
@@ -104,6 +113,10 @@ struct BandRows {
   __device__ __forceinline__ char const* luma_row(int row) const { return luma + int64_t(row) * luma_stride; }
   __device__ __forceinline__ char const* chroma_row(int row) const { return chroma + int64_t(row) * chroma_stride; }
 
+  static __device__ __forceinline__ void swap(OwnCodes<S>& codes) {
+#pragma unroll
+    for (uint32_t& word : codes.words) word = __byte_perm(word, 0, sizeof(S) == 1 ? 0x2301 : 0x1032);
+  }
   // One code of each two of a packed row.
   __device__ __forceinline__ void unpack(char const* row, uint32_t selector, OwnCodes<S>& codes) const {
     uint32_t both[2 * OwnCodes<S>::kWords];
@@ -111,9 +124,17 @@ struct BandRows {
 #pragma unroll
     for (int k = 0; k < OwnCodes<S>::kWords; ++k) codes.words[k] = __byte_perm(both[2 * k], both[2 * k + 1], selector);
   }
+  __device__ __forceinline__ static void fetch_vector(char const* from, OwnCodes<S>& codes) {
+    constexpr int N = OwnCodes<S>::kWords;
+    auto const vector = *reinterpret_cast<Vector<uint32_t, N> const*>(from);
+#pragma unroll
+    for (int k = 0; k < N; ++k) codes.words[k] = vector.v[k];
+  }
   __device__ __forceinline__ OwnCodes<S> fetch_luma(int row) const {
     OwnCodes<S> codes;
-    if (sizeof(S) == 1 && layout == CodeLayout::packed)
+    if constexpr (Plain)
+      fetch_vector(luma_row(row), codes);
+    else if (sizeof(S) == 1 && layout == CodeLayout::packed)
       unpack(luma_row(row), 0x6420, codes);
     else
       fetch_words(luma_row(row), luma_bytes, luma_vectors, codes.words);
@@ -121,7 +142,10 @@ struct BandRows {
   }
   __device__ __forceinline__ OwnCodes<S> fetch_chroma(int row) const {
     OwnCodes<S> codes;
-    if (sizeof(S) == 1 && layout == CodeLayout::packed) {
+    if constexpr (Plain) {
+      fetch_vector(chroma_row(row), codes);
+      if (layout == CodeLayout::swapped_pairs) swap(codes);
+    } else if (sizeof(S) == 1 && layout == CodeLayout::packed) {
       unpack(chroma_row(row), 0x7531, codes);
     } else if (sizeof(S) == 1 && layout == CodeLayout::planes) {
       uint32_t a[1], b[1];
@@ -131,10 +155,7 @@ struct BandRows {
       codes.words[1] = __byte_perm(a[0], b[0], 0x7362);
     } else {
       fetch_words(chroma_row(row), chroma_bytes, chroma_vectors, codes.words);
-      if (layout == CodeLayout::swapped_pairs) {
-#pragma unroll
-        for (uint32_t& word : codes.words) word = __byte_perm(word, 0, sizeof(S) == 1 ? 0x2301 : 0x1032);
-      }
+      if (layout == CodeLayout::swapped_pairs) swap(codes);
     }
     return codes;
   }
@@ -163,16 +184,23 @@ struct BandSteps {
     end[i] = at + steps_of_row;
     if (end[i] > room) return false;
     for (int k = 0; k < steps_of_row; ++k) {
-      BandStep step{begin + k, {}};
+      BandStep step{{}, begin + k};
 #pragma unroll
       for (int n = 0; n < N; ++n)
-        if (n == 0 || (rolling && i + n < count)) step.weights[n] = weight(n, begin + k);
+        if (n == 0 || (rolling && i + n < count)) {
+          float const w = weight(n, begin + k);
+#pragma unroll
+          for (int slot = 0; slot < N; ++slot)
+            if ((i + n) % N == slot) step.weights[slot] = w;
+        }
       steps[at + k] = step;
     }
     return true;
   }
 };
 
+// Exact for 1, else within an ulp.
+__device__ __forceinline__ float inverse(float x) { return __fdividef(1.f, x); }
 __device__ __forceinline__ void prefetch_l2(void const* at) { asm volatile("prefetch.global.L2 [%0];" ::"l"(at)); }
 
 template <class S, class T>
@@ -189,59 +217,65 @@ __device__ __noinline__ void run_each_window(PlanesToRgb<T> const& p, int64_t fr
     for (float& sum : sums) sum *= factor;
 #pragma unroll
     for (int k = 0; k < 3; ++k)
-      p.rgb.row(3 * frame + k, y)[x] = round_to<T>(p.colors.channel(k, sums[0], sums[1], sums[2], 1.f));
+      p.rgb.row(3 * frame + k, y)[x] = round_to<T>(channel_of(p.colors, k, sums[0], sums[1], sums[2]));
   }
 }
 
-// The rows [done, done + count) of a band, from their sums. K, M: the numbers of taps; 0 for any.
-template <int K, int M, class T>
-__device__ __forceinline__ void emit_rows(PlanesToRgb<T> const& p, float const* sums, int const* firsts,
-                                          float const* luma_weights, float const* chroma_weights, int stride,
-                                          int columns, int luma_taps, int chroma_taps, int count, T* to,
-                                          int64_t row_stride) {
-  int64_t const plane = p.rgb.plane(1) - p.rgb.plane(0);  // the result is dense
-  for (int x = int(threadIdx.x); x < columns; x += kBandThreads) {
-    int const first = firsts[x], luma = first & 0xffff, chroma = first >> 16;
-    auto const at = [&](int i) { return i / 2 + (i % 2 ? kOddColumns : 0); };
-    float const *const even = sums + at(luma), *const odd = sums + at(luma + 1);
-    auto const* const pairs = reinterpret_cast<Vector<float, 2> const*>(sums + kChromaSums) + chroma;
-    float y[kAtOnce]{}, u[kAtOnce]{}, v[kAtOnce]{};
-    auto const add_luma = [&](int k) {
-      float const weight = luma_weights[k * stride + x];
+// Where the sums that a column takes begin: of even taps of luma, of odd ones, and of chroma.
+struct ColumnSums {
+  uint32_t packed;
+  static __device__ __forceinline__ int luma_at(int i) { return i / 2 + (i % 2 ? kOddColumns : 0); }
+  static __device__ __forceinline__ ColumnSums of(int luma, int chroma) {
+    return {uint32_t(luma_at(luma) | luma_at(luma + 1) << 11 | chroma << 22)};
+  }
+  __device__ __forceinline__ int even() const { return int(packed & 2047); }
+  __device__ __forceinline__ int odd() const { return int(packed >> 11 & 2047); }
+  __device__ __forceinline__ int chroma() const { return kChromaSums + 2 * int(packed >> 22); }
+};
+static_assert(kOddColumns + kSpan / 2 <= 2048 && kSpan / 2 <= 1024);
+
+// The luma and chroma of a column in the rows at once. K, M: the numbers of taps; 0 for any.
+template <int K, int M>
+struct ColumnColors {
+  float y[kAtOnce]{}, u[kAtOnce]{}, v[kAtOnce]{};
+
+  __device__ __forceinline__ void add_luma(float const* from, float weight) {
 #pragma unroll
-      for (int r = 0; r < kAtOnce; ++r) y[r] += weight * (k % 2 ? odd : even)[k / 2 + r * kRowSums];
-    };
-    auto const add_chroma = [&](int k) {
-      float const weight = chroma_weights[k * stride + x];
+    for (int r = 0; r < kAtOnce; ++r) y[r] += weight * from[r * kRowSums];
+  }
+  __device__ __forceinline__ void add_chroma(float const* from, float weight) {
 #pragma unroll
-      for (int r = 0; r < kAtOnce; ++r) {
-        auto const pair = pairs[k + r * (kRowSums / 2)];
-        u[r] += weight * pair.v[0];
-        v[r] += weight * pair.v[1];
-      }
-    };
-    if constexpr (K > 0) {
-#pragma unroll
-      for (int k = 0; k < K; ++k) add_luma(k);
-#pragma unroll
-      for (int k = 0; k < M; ++k) add_chroma(k);
-    } else {
-#pragma unroll 4
-      for (int k = 0; k < luma_taps; ++k) add_luma(k);
-#pragma unroll 2
-      for (int k = 0; k < chroma_taps; ++k) add_chroma(k);
+    for (int r = 0; r < kAtOnce; ++r) {
+      auto const pair = *reinterpret_cast<Vector<float, 2> const*>(from + r * kRowSums);
+      u[r] += weight * pair.v[0];
+      v[r] += weight * pair.v[1];
     }
-#pragma unroll
-    for (int r = 0; r < kAtOnce; ++r)
-      if (r < count) {
-#pragma unroll
-        for (int k = 0; k < 3; ++k)
-          to[k * plane + r * row_stride + x] = round_to<T>(p.colors.channel(k, y[r], u[r], v[r], 1.f));
-      }
   }
-}
+  // Of column x of a table.
+  __device__ __forceinline__ void add(float const* sums, float const* table, int x, int columns, int luma_taps,
+                                      int chroma_taps) {
+    if constexpr (K > 0) {
+      auto const* const vectors = reinterpret_cast<Vector<float, 4> const*>(table) + 2 * x;
+      auto const luma = vectors[0], chroma = vectors[1];
+      ColumnSums const at{__float_as_uint(chroma.v[3])};
+#pragma unroll
+      for (int k = 0; k < K; ++k) add_luma(sums + (k % 2 ? at.odd() : at.even()) + k / 2, luma.v[k]);
+#pragma unroll
+      for (int k = 0; k < M; ++k) add_chroma(sums + at.chroma() + 2 * k, chroma.v[k]);
+    } else {
+      float const* weight = table + x;
+      ColumnSums const at{__float_as_uint(*weight)};
+      float const *const even = sums + at.even(), *const odd = sums + at.odd();
+#pragma unroll 4
+      for (int k = 0; k < luma_taps; ++k) add_luma((k % 2 ? odd : even) + k / 2, *(weight += columns));
+      float const* chroma = sums + at.chroma();
+#pragma unroll 2
+      for (int k = 0; k < chroma_taps; ++k, chroma += 2) add_chroma(chroma, *(weight += columns));
+    }
+  }
+};
 
-template <class S, class T>
+template <class S, class T, bool Plain>
 __global__ void __launch_bounds__(kBandThreads, kBandBlocks)
     run_bands(__grid_constant__ PlanesToRgb<T> const p, __grid_constant__ BandPlan const plan) {
   extern __shared__ __align__(16) float memory[];
@@ -249,9 +283,7 @@ __global__ void __launch_bounds__(kBandThreads, kBandBlocks)
   float* const sums = memory;
   BandStep* const luma_steps = reinterpret_cast<BandStep*>(sums + kAtOnce * kRowSums);
   BandStep* const chroma_steps = luma_steps + plan.luma_steps;
-  int* const firsts = reinterpret_cast<int*>(chroma_steps + plan.chroma_steps);
-  float* const luma_weights = reinterpret_cast<float*>(firsts + plan.columns);
-  float* const chroma_weights = luma_weights + plan.luma_taps * plan.columns;
+  float* const table = reinterpret_cast<float*>(chroma_steps + plan.chroma_steps);
 
   int const t = int(threadIdx.x), x0 = int(blockIdx.x) * plan.columns, y0 = int(blockIdx.y) * plan.rows;
   int const columns = min(plan.columns, int(p.rgb.width) - x0), rows = min(plan.rows, int(p.rgb.height) - y0);
@@ -264,45 +296,68 @@ __global__ void __launch_bounds__(kBandThreads, kBandBlocks)
     int const end = max(max(left.last, right.last), 2 * max(left.last_chroma(p.x), right.last_chroma(p.x)));
     int const own = (end - from + kOwn - 1) / kOwn;
     int const window = whole_within(-floor_of(-2 * box_x.support), 1, p.x.size);
-    int const luma_taps = min(window, kOwn * own);
-    int const chroma_taps = min(window / 2 + (p.x.site == ChromaSite::nearest ? 1 : 2), kOwn / 2 * own);
-    bool fits = own <= kBandThreads && luma_taps <= plan.luma_taps && chroma_taps <= plan.chroma_taps;
+    int luma_taps = min(window, kOwn * own);
+    int chroma_taps = min(window / 2 + (p.x.site == ChromaSite::nearest ? 1 : 2), kOwn / 2 * own);
+    bool const is_small = luma_taps <= kFewLuma && chroma_taps <= kFewChroma;
+    bool const has_few = luma_taps <= 2 && chroma_taps <= 2;
+    bool const has_columns =
+        own <= kBandThreads && (is_small || (luma_taps <= plan.luma_taps && chroma_taps <= plan.chroma_taps));
+    if (is_small) luma_taps = has_few ? 2 : kFewLuma, chroma_taps = has_few ? 2 : kFewChroma;  // a thread has so many
 
     // The rows of the band are taken from the top of the frame to its bottom.
     bool const is_mirrored = box_y.scale < 0, is_chroma = t >= 32;
     auto const window_of = [&](int i) { return box_y.window(is_mirrored ? y0 + rows - 1 - i : y0 + i); };
     int const i = t % 32;
     bool const has_row = t < 64 && i < rows;
-    BandSteps& own_rows = is_chroma ? chroma_rows : luma_rows;
     if (has_row) {
       PixelWindow<float> const w = window_of(i);
+      BandSteps& own_rows = is_chroma ? chroma_rows : luma_rows;
       own_rows.first[i] = is_chroma ? w.first_chroma(p.y) : w.first;
       own_rows.last[i] = is_chroma ? w.last_chroma(p.y) : w.last;
     }
     __syncthreads();
-    bool const luma_rolls = __syncthreads_and(!has_row || is_chroma || luma_rows.can_roll<kLumaRows>(i, rows));
-    bool const chroma_rolls = __syncthreads_and(!has_row || !is_chroma || chroma_rows.can_roll<kChromaRows>(i, rows));
+    // Each warp asks for what it writes.
+    bool rolls =
+        !has_row || (is_chroma ? chroma_rows.can_roll<kChromaRows>(i, rows) : luma_rows.can_roll<kLumaRows>(i, rows));
+    rolls = __all_sync(0xffffffffu, rolls);
+    bool fits = has_columns;
     if (has_row) {
       PixelWindow<float> const w[] = {window_of(i), window_of(min(i + 1, rows - 1)), window_of(min(i + 2, rows - 1))};
-      float const factor[] = {1 / w[0].sum(), 1 / w[1].sum(), 1 / w[2].sum()};
+      float const factor[] = {inverse(w[0].sum()), inverse(w[1].sum()), inverse(w[2].sum())};
       auto const luma_weight = [&](int n, int row) { return w[n].weight(row) * factor[n]; };
       auto const chroma_weight = [&](int n, int row) { return w[n].chroma_weight(p.y, row) * factor[n]; };
       bool const has_room =
-          is_chroma
-              ? chroma_rows.write<kChromaRows>(chroma_steps, plan.chroma_steps, i, rows, chroma_rolls, chroma_weight)
-              : luma_rows.write<kLumaRows>(luma_steps, plan.luma_steps, i, rows, luma_rolls, luma_weight);
+          is_chroma ? chroma_rows.write<kChromaRows>(chroma_steps, plan.chroma_steps, i, rows, rolls, chroma_weight)
+                    : luma_rows.write<kLumaRows>(luma_steps, plan.luma_steps, i, rows, rolls, luma_weight);
       fits = fits && has_room;
     }
-    if (own <= kBandThreads && luma_taps <= plan.luma_taps && chroma_taps <= plan.chroma_taps)
-      for (int x = t; x < columns; x += kBandThreads) {
+    if (has_columns)
+      // The warps of the rows come last.
+      for (int x = kBandThreads - 1 - t; x < columns; x += kBandThreads) {
         PixelWindow<float> const w = box_x.window(x0 + x);
-        float const factor = 1 / w.sum();
+        float const factor = inverse(w.sum());
         int const luma = min(w.first, from + kOwn * own - luma_taps);
         int const chroma = min(w.first_chroma(p.x), (from + kOwn * own) / 2 - chroma_taps), last = w.last_chroma(p.x);
-        firsts[x] = (luma - from) | (chroma - from / 2) << 16;
-        for (int k = 0; k < luma_taps; ++k) luma_weights[k * plan.columns + x] = w.weight(luma + k) * factor;
-        for (int k = 0; k < chroma_taps; ++k)
-          chroma_weights[k * plan.columns + x] = chroma + k < last ? w.chroma_weight(p.x, chroma + k) * factor : 0.f;
+        float const at = __uint_as_float(ColumnSums::of(luma - from, chroma - from / 2).packed);
+        auto const chroma_weight = [&](int k) {
+          return chroma + k < last ? w.chroma_weight(p.x, chroma + k) * factor : 0.f;
+        };
+        if (is_small) {
+          auto* const to = reinterpret_cast<Vector<float, 4>*>(table) + 2 * x;
+          Vector<float, 4> vector;
+#pragma unroll
+          for (int k = 0; k < kFewLuma; ++k) vector.v[k] = w.weight(luma + k) * factor;
+          to[0] = vector;
+#pragma unroll
+          for (int k = 0; k < kFewChroma; ++k) vector.v[k] = chroma_weight(k);
+          vector.v[3] = at;
+          to[1] = vector;
+        } else {
+          float* to = table + x;
+          *to = at;
+          for (int k = 0; k < luma_taps; ++k) *(to += plan.columns) = w.weight(luma + k) * factor;
+          for (int k = 0; k < chroma_taps; ++k) *(to += plan.columns) = chroma_weight(k);
+        }
       }
     fits = __syncthreads_and(fits);
     if (!fits) {
@@ -312,34 +367,45 @@ __global__ void __launch_bounds__(kBandThreads, kBandBlocks)
     }
 
     bool const is_own = t < own;
-    BandRows<S> const codes(p, plan, frame, from + kOwn * (is_own ? t : 0));
+    BandRows<S, Plain> const codes(p, plan, frame, from + kOwn * (is_own ? t : 0));
     int const luma_end = luma_rows.end[rows - 1], chroma_end = chroma_rows.end[rows - 1];
     {  // a line of 128 bytes each
-      BandRows<S> const first(p, plan, frame, from);
+      BandRows<S, Plain> const first(p, plan, frame, from);
       int const bytes = own * kOwn * int(sizeof(S)) * (plan.layout == CodeLayout::packed ? 2 : 1);
       int const lines = bytes / 128 + 1;
-      for (int k = t; k < lines * luma_end; k += kBandThreads)
-        prefetch_l2(first.luma_row(luma_steps[k / lines].row) + min(k % lines * 128, bytes - 1));
-      if (plan.layout <= CodeLayout::swapped_pairs)
-        for (int k = t; k < lines * chroma_end; k += kBandThreads)
-          prefetch_l2(first.chroma_row(chroma_steps[k / lines].row) + min(k % lines * 128, bytes - 1));
+      for (int line = t % 32; line < lines; line += 32) {
+        int const at = min(line * 128, bytes - 1);
+        for (int k = t / 32; k < luma_end; k += kBandThreads / 32) prefetch_l2(first.luma_row(luma_steps[k].row) + at);
+        if (plan.layout <= CodeLayout::swapped_pairs)
+          for (int k = t / 32; k < chroma_end; k += kBandThreads / 32)
+            prefetch_l2(first.chroma_row(chroma_steps[k].row) + at);
+      }
     }
     float y[kLumaRows][kOwn]{}, c[kChromaRows][kOwn]{};
     OwnCodes<S> next_luma{}, next_chroma{};
-    if (is_own && luma_end > 0) next_luma = codes.fetch_luma(luma_steps[0].row);
-    if (is_own && chroma_end > 0) next_chroma = codes.fetch_chroma(chroma_steps[0].row);
-    int luma_step = 0, chroma_step = 0;
-    for (int done = 0; done < rows; done += kAtOnce) {
+    BandStep luma_step{}, chroma_step{};
+    if (is_own) {
+      luma_step = BandStep::load(luma_steps), chroma_step = BandStep::load(chroma_steps);
+      next_luma = codes.fetch_luma(luma_step.row), next_chroma = codes.fetch_chroma(chroma_step.row);
+    }
+    int next = 0, next_of_chroma = 0, luma_slot = 0, chroma_slot = 0;
+    int64_t const plane = p.rgb.plane(1) - p.rgb.plane(0);  // the result is dense
+    int64_t const stride = is_mirrored ? -p.rgb.row_stride : p.rgb.row_stride;
+    T* to = p.rgb.row(3 * frame, is_mirrored ? y0 + rows - 1 : y0) + x0;
+    for (int done = 0; done < rows; done += kAtOnce, to += kAtOnce * stride) {
       int const count = min(kAtOnce, rows - done);
       if (is_own)
 #pragma unroll 1
         for (int r = 0; r < count; ++r) {
           int const end_luma = luma_rows.end[done + r], end_chroma = chroma_rows.end[done + r];
 #pragma unroll 1
-          for (; luma_step < end_luma; ++luma_step) {
-            BandStep const step = luma_steps[luma_step];
+          while (next < end_luma) {
+            BandStep const step = luma_step;
             OwnCodes<S> const row = next_luma;
-            if (luma_step + 1 < luma_end) next_luma = codes.fetch_luma(luma_steps[luma_step + 1].row);
+            if (++next < luma_end) {
+              luma_step = BandStep::load(luma_steps + next);
+              next_luma = codes.fetch_luma(luma_step.row);
+            }
 #pragma unroll
             for (int j = 0; j < kOwn; ++j) {
               float const number = row.number(j);
@@ -348,10 +414,13 @@ __global__ void __launch_bounds__(kBandThreads, kBandBlocks)
             }
           }
 #pragma unroll 1
-          for (; chroma_step < end_chroma; ++chroma_step) {
-            BandStep const step = chroma_steps[chroma_step];
+          while (next_of_chroma < end_chroma) {
+            BandStep const step = chroma_step;
             OwnCodes<S> const row = next_chroma;
-            if (chroma_step + 1 < chroma_end) next_chroma = codes.fetch_chroma(chroma_steps[chroma_step + 1].row);
+            if (++next_of_chroma < chroma_end) {
+              chroma_step = BandStep::load(chroma_steps + next_of_chroma);
+              next_chroma = codes.fetch_chroma(chroma_step.row);
+            }
 #pragma unroll
             for (int j = 0; j < kOwn; ++j) {
               float const number = row.number(j);
@@ -359,35 +428,58 @@ __global__ void __launch_bounds__(kBandThreads, kBandBlocks)
               for (int n = 0; n < kChromaRows; ++n) c[n][j] += step.weights[n] * number;
             }
           }
-          float* const to = sums + r * kRowSums;
+          float* const to_sums = sums + r * kRowSums + kOwn / 2 * t;
+          // Stored, and 0 for the next row that is added up there.
+          auto const take = [](float& x) {
+            float const value = x;
+            x = 0;
+            return value;
+          };
 #pragma unroll
-          for (int k = 0; k < 2; ++k) {
-            Vector<float, 4> luma, chroma;
+          for (int n = 0; n < kLumaRows; ++n)
+            if (n == luma_slot) {
 #pragma unroll
-            for (int j = 0; j < 4; ++j) luma.v[j] = y[0][2 * j + k], chroma.v[j] = c[0][4 * k + j];
-            *reinterpret_cast<Vector<float, 4>*>(to + k * kOddColumns + kOwn / 2 * t) = luma;
-            *reinterpret_cast<Vector<float, 4>*>(to + kChromaSums + kOwn * t + 4 * k) = chroma;
-          }
+              for (int k = 0; k < 2; ++k) {
+                Vector<float, 4> luma;
 #pragma unroll
-          for (int j = 0; j < kOwn; ++j) {
+                for (int j = 0; j < 4; ++j) luma.v[j] = take(y[n][2 * j + k]);
+                *reinterpret_cast<Vector<float, 4>*>(to_sums + k * kOddColumns) = luma;
+              }
+            }
 #pragma unroll
-            for (int n = 0; n < kLumaRows; ++n) y[n][j] = n + 1 < kLumaRows ? y[min(n + 1, kLumaRows - 1)][j] : 0;
+          for (int n = 0; n < kChromaRows; ++n)
+            if (n == chroma_slot) {
 #pragma unroll
-            for (int n = 0; n < kChromaRows; ++n) c[n][j] = n + 1 < kChromaRows ? c[min(n + 1, kChromaRows - 1)][j] : 0;
-          }
+              for (int k = 0; k < 2; ++k) {
+                Vector<float, 4> pairs;
+#pragma unroll
+                for (int j = 0; j < 4; ++j) pairs.v[j] = take(c[n][4 * k + j]);
+                *reinterpret_cast<Vector<float, 4>*>(to_sums + kChromaSums + kOwn / 2 * t + 4 * k) = pairs;
+              }
+            }
+          luma_slot = luma_slot + 1 < kLumaRows ? luma_slot + 1 : 0;
+          chroma_slot = chroma_slot + 1 < kChromaRows ? chroma_slot + 1 : 0;
         }
       __syncthreads();
-      int64_t const stride = is_mirrored ? -p.rgb.row_stride : p.rgb.row_stride;
-      T* const to = p.rgb.row(3 * frame, is_mirrored ? y0 + rows - 1 - done : y0 + done) + x0;
       auto const emit = [&](auto k, auto m) {
-        emit_rows<decltype(k)::value, decltype(m)::value>(p, sums, firsts, luma_weights, chroma_weights, plan.columns,
-                                                          columns, luma_taps, chroma_taps, count, to, stride);
+        for (int x = t; x < columns; x += kBandThreads) {
+          ColumnColors<decltype(k)::value, decltype(m)::value> colors;
+          colors.add(sums, table, x, plan.columns, luma_taps, chroma_taps);
+#pragma unroll
+          for (int r = 0; r < kAtOnce; ++r)
+            if (r < count) {
+#pragma unroll
+              for (int n = 0; n < 3; ++n)
+                to[n * plane + r * stride + x] =
+                    round_to<T>(channel_of(p.colors, n, colors.y[r], colors.u[r], colors.v[r]));
+            }
+        }
       };
       using std::integral_constant;
-      if (luma_taps == 4 && chroma_taps == 3)
-        emit(integral_constant<int, 4>{}, integral_constant<int, 3>{});
-      else if (luma_taps == 2 && chroma_taps == 2)
+      if (has_few)
         emit(integral_constant<int, 2>{}, integral_constant<int, 2>{});
+      else if (is_small)
+        emit(integral_constant<int, kFewLuma>{}, integral_constant<int, kFewChroma>{});
       else
         emit(integral_constant<int, 0>{}, integral_constant<int, 0>{});
       __syncthreads();
@@ -436,12 +528,18 @@ bool plan_bands(PlanesToRgb<T> const& p, BandPlan& plan) {
   auto const divided = [](int size, int most) { return int(ceil_div(size, ceil_div(size, most))); };
   for (int most = min(width, most_columns);; most /= 2) {
     plan.columns = divided(width, most);
-    int64_t const bands = p.rgb.count() / 3 * ceil_div(width, plan.columns) * height;
-    int64_t const each = bands / (2 * kBandBlocks * multiprocessors());
-    plan.rows = divided(height, int(clamp(each, int64_t(4), int64_t(kMaxBandRows))));
+    // As many rows as fill all multiprocessors a whole number of times.
+    int64_t const columns_of_bands = p.rgb.count() / 3 * ceil_div(width, plan.columns);
+    int64_t const at_once = kBandBlocks * multiprocessors();
+    int64_t const times = ceil_div(columns_of_bands * height, at_once * kMaxBandRows);
+    int64_t const down_count = clamp(times * at_once / columns_of_bands, int64_t(1), int64_t(height));
+    plan.rows =
+        int(clamp(ceil_div(int64_t(height), down_count), int64_t(min(kMinBandRows, height)), int64_t(kMaxBandRows)));
     int const reads = p.antialias ? int(float(plan.rows) * down.scale + 2 * down.support) + 3 : 0;
     plan.luma_steps = max(2 * plan.rows, reads);
-    plan.chroma_steps = max(3 * plan.rows, reads);
+    // Rows of interpolated chroma are taken by more rows of the result than are added up at once.
+    int const each_row = p.y.site == ChromaSite::nearest ? 3 : max(3, int(down.support) + 3);
+    plan.chroma_steps = max(each_row * plan.rows, reads);
     if (plan.bytes() <= max_shared_bytes(54 << 10)) return true;
     if (most < 64) return false;
   }
@@ -449,7 +547,9 @@ bool plan_bands(PlanesToRgb<T> const& p, BandPlan& plan) {
 
 template <class S, class T>
 int launch_bands(PlanesToRgb<T> const& p, BandPlan const& plan, CUstream_st* stream) {
-  auto* const kernel = run_bands<S, T>;
+  bool const is_plain =
+      plan.layout <= CodeLayout::swapped_pairs && plan.luma_vectors && plan.chroma_vectors && p.x.size % kOwn == 0;
+  auto* const kernel = is_plain ? run_bands<S, T, true> : run_bands<S, T, false>;
   int const bytes = int(plan.bytes());
   if (int const error = cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, bytes)) return error;
   dim3 const blocks(unsigned(ceil_div(p.rgb.width, plan.columns)), unsigned(ceil_div(p.rgb.height, plan.rows)),

@@ -77,7 +77,7 @@ __global__ void __launch_bounds__(kThreads)
       T* const to = p.rgb.row(3 * frame + k, y) + x;
       F color[N];
 #pragma unroll
-      for (int j = 0; j < N; ++j) color[j] = p.colors.channel(k, luma[j], chroma[0][j], chroma[1][j], F(1));
+      for (int j = 0; j < N; ++j) color[j] = channel_of(p.colors, k, luma[j], chroma[0][j], chroma[1][j]);
       if (vectors.rgb) {
         store_vector(to, color);
       } else {
@@ -206,7 +206,7 @@ __global__ void __launch_bounds__(kThreads, 3) run_boxes(__grid_constant__ Plane
         }
 #pragma unroll
         for (int k = 0; k < 3; ++k)
-          p.rgb.row(3 * frame + k, y0 + i)[x] = round_to<T>(p.colors.channel(k, sums[0], sums[1], sums[2], F(1)));
+          p.rgb.row(3 * frame + k, y0 + i)[x] = round_to<T>(channel_of(p.colors, k, sums[0], sums[1], sums[2]));
       }
     __syncthreads();
   }

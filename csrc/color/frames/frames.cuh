@@ -2,6 +2,7 @@
 #pragma once
 
 #include "core/launch.cuh"
+#include "core/nan_min_max.cuh"
 #include "frames.h"
 
 namespace kv::color::cuda {
@@ -24,6 +25,12 @@ struct Reader {
     return Compute<T>(number_of(p.planes[plane].template row<S>(frame, row)[column * p.planes[plane].column_stride]));
   }
 };
+
+// A color of a sum of weights of 1.
+template <class F>
+__device__ __forceinline__ F channel_of(FrameColors<F> const& colors, int k, F y, F u, F v) {
+  return nan_min(nan_max(colors.linear(k, y, u, v, F(1)), colors.lowest[k]), colors.highest[k]);
+}
 
 }  // namespace
 }  // namespace kv::color::cuda

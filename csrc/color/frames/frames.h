@@ -25,8 +25,12 @@ struct FrameColors {
   F matrix[9], offset[3], bias[3], lowest[3], highest[3];
 
   template <class V>
+  KV_HD V linear(int k, V const& y, V const& u, V const& v, V const& inside) const {
+    return y * matrix[3 * k] + (u * matrix[3 * k + 1] + (v * matrix[3 * k + 2] + (inside * offset[k] + bias[k])));
+  }
+  template <class V>
   KV_HD V channel(int k, V const& y, V const& u, V const& v, V const& inside) const {
-    V const c = y * matrix[3 * k] + u * matrix[3 * k + 1] + v * matrix[3 * k + 2] + inside * offset[k] + bias[k];
+    V const c = linear(k, y, u, v, inside);
     V const raised = c < lowest[k] ? c * F(0) + lowest[k] : c;  // NaN stays
     return raised > highest[k] ? c * F(0) + highest[k] : raised;
   }
@@ -135,7 +139,7 @@ struct PixelWindow {
 // count.
 template <class F>
 struct BoxAxis {
-  F start, scale, support;
+  F start, scale, support, inverse_support;
   int low, high;
 
   KV_HD BoxAxis(F start, F end, int count, int size, bool antialias)
@@ -143,6 +147,7 @@ struct BoxAxis {
     F const top = start < end ? end : start;
     low = whole_within(floor_of(start < end ? start : end), 0, size - 1);
     high = whole_within(-floor_of(-top), low + 1, size);
+    inverse_support = F(1) / support;
   }
   // `align_corners`: the centers of the window's outermost pixels are those of the result's.
   KV_HD BoxAxis(Window const& window, int count, bool align_corners, bool antialias)
@@ -152,11 +157,12 @@ struct BoxAxis {
     scale = window.mirrored ? -pixel : pixel;
     start = window.mirrored ? F(high) - margin : F(low) + margin;
     support = antialias ? max(F(1), pixel) : F(1);
+    inverse_support = F(1) / support;
   }
   KV_HD PixelWindow<F> window(int i) const {
     F const middle = start + (F(i) + F(0.5)) * scale, least = F(low) + F(0.5), most = F(high) - F(0.5);
     F const center = middle < least ? least : middle > most ? most : middle;
-    return {center, F(1) / support, whole_within(floor_of(center - support + F(0.5)), low, high - 1),
+    return {center, inverse_support, whole_within(floor_of(center - support + F(0.5)), low, high - 1),
             whole_within(-floor_of(F(0.5) - center - support), low + 1, high)};
   }
   // No window has more pixels.

@@ -260,9 +260,9 @@ KV_HD void linearize_camera(FitBundle<T> const& p, int64_t b, int64_t c, double*
 // The threads of a group take the products of an observation in turns, several at once so that their loads overlap; y
 // is memory of theirs for 18 numbers. A camera may see a point several times, but threads never add to one entry at
 // once: there are 36 for each observation, and at most 32 threads.
-template <class T, class Group>
-KV_HD void add_couplings(FitBundle<T> const& p, int64_t b, int64_t c, int64_t first, int64_t step, double* rows,
-                         int64_t pitch, double* y, Group group) {
+template <class S, class T, class Group>
+KV_HD void add_couplings(FitBundle<T> const& p, S const* couplings, int64_t b, int64_t c, int64_t first, int64_t step,
+                         double* rows, int64_t pitch, double* y, Group group) {
   int64_t const last = p.first_of_camera(c + 1);
   for (int64_t slot = p.first_of_camera(c) + first; slot < last; slot += step) {
     int64_t const at = p.in_order(slot), k = p.point_of(at), W = 18 * (b * p.count + at);
@@ -271,7 +271,7 @@ KV_HD void add_couplings(FitBundle<T> const& p, int64_t b, int64_t c, int64_t fi
       int const i = t / 3, j = t % 3;
       double sum = 0;
       for (int m = 0; m < 3; ++m)
-        sum += p.couplings[W + 3 * i + m] * inverse[m < j ? pose_fits::entry(j, m) : pose_fits::entry(m, j)];
+        sum += double(couplings[W + 3 * i + m]) * inverse[m < j ? pose_fits::entry(j, m) : pose_fits::entry(m, j)];
       y[t] = sum;
     }
     group.sync();
@@ -285,13 +285,12 @@ KV_HD void add_couplings(FitBundle<T> const& p, int64_t b, int64_t c, int64_t fi
       int64_t entries[kInFlight];
 #pragma unroll
       for (int u = 0; u < kInFlight; ++u) {
-        int const t = first_product + u * threads + group.thread_rank();
-        entries[u] = -1;
-        if (t >= products) continue;
-        int const i = t % 36 / 6, j = t % 6;
-        int64_t const other = begin + t / 36, column = p.camera_of(other), V = 18 * (b * p.count + other) + 3 * j;
-        values[u] = y[3 * i] * p.couplings[V] + y[3 * i + 1] * p.couplings[V + 1] + y[3 * i + 2] * p.couplings[V + 2];
-        entries[u] = column <= c ? i * pitch + 6 * column + j : -1;
+        int const own = first_product + u * threads + group.thread_rank(), t = own < products ? own : products - 1;
+        int const i = t % 36 / 6, j = t % 6;  // without branches, around which no load would be moved
+        int64_t const other = begin + t / 36, column = p.camera_of(other);
+        S const* const V = couplings + 18 * (b * p.count + other) + 3 * j;
+        values[u] = y[3 * i] * double(V[0]) + y[3 * i + 1] * double(V[1]) + y[3 * i + 2] * double(V[2]);
+        entries[u] = own < products && column <= c ? i * pitch + 6 * column + j : -1;
       }
 #pragma unroll
       for (int u = 0; u < kInFlight; ++u) {
@@ -301,6 +300,16 @@ KV_HD void add_couplings(FitBundle<T> const& p, int64_t b, int64_t c, int64_t fi
     }
     group.sync();
   }
+}
+
+// The same of couplings in their type, for all of whose loads it is asked once.
+template <class T, class Group>
+KV_HD void add_couplings(FitBundle<T> const& p, int64_t b, int64_t c, int64_t first, int64_t step, double* rows,
+                         int64_t pitch, double* y, Group group) {
+  if (p.couplings.is_double)
+    add_couplings(p, static_cast<double const*>(p.couplings.data), b, c, first, step, rows, pitch, y, group);
+  else
+    add_couplings(p, static_cast<float const*>(p.couplings.data), b, c, first, step, rows, pitch, y, group);
 }
 
 // The pose that the step of a camera leads to, and its share of the sums: the predicted decrease of the cost, the

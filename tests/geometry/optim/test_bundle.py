@@ -109,7 +109,7 @@ def test_the_kernel_iterates_as_the_solver(loss: Any, dtype: torch.dtype, device
     assert kernel.converged.tolist() == solver.converged.tolist() and kernel.cost[2].isnan()
     assert kernel.iterations[1] == 0 and kernel.variables["points"][2].isnan().all()
     determined = torch.tensor([0, 1, 3, 4], device=device)
-    tolerance = 1e-7 if dtype is F64 else 2e-3
+    tolerance = 1e-7 if dtype is F64 else 1e-2  # of points that few rays determine
     for a, b in ((kernel.variables["points"], solver.variables["points"]), (kernel.cost, solver.cost)):
         torch.testing.assert_close(a[determined], b[determined], rtol=tolerance, atol=tolerance)
     a, b = (fit.variables["pose"].matrix()[determined] for fit in (kernel, solver))

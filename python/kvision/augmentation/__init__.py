@@ -32,7 +32,6 @@ from kvision.augmentation.container import (
 from kvision.augmentation.container.saving import allow_loading as _allow_loading
 from kvision.augmentation.container.saving import from_json, to_json
 from kvision.augmentation.container.sheet import preview
-from kvision.augmentation.mixing.copy_paste import RandomCopyPaste
 from kvision.augmentation.corruption import (
     CommonCorruption,
     Defocus,
@@ -105,6 +104,8 @@ from kvision.augmentation.mixing import (
     RandomMixUpV2,
     RandomMosaic,
 )
+from kvision.augmentation.mixing.copy_paste import RandomCopyPaste
+from kvision.augmentation.mixing.transplantation import RandomTransplantation, RandomTransplantation3D
 from kvision.augmentation.normalize import Denormalize, Normalize
 from kvision.augmentation.occlusion import (
     CoarseDropout,
@@ -121,7 +122,6 @@ from kvision.augmentation.plasma import RandomPlasmaBrightness, RandomPlasmaCont
 from kvision.augmentation.random_noise import RandomGaussianNoise, RandomSaltAndPepperNoise
 from kvision.augmentation.resize import LongestMaxSize, Pad, PadIfNeeded, PadTo, RandomScale, Resize, SmallestMaxSize
 from kvision.augmentation.transforms import Transform
-from kvision.augmentation.mixing.transplantation import RandomTransplantation, RandomTransplantation3D
 from kvision.augmentation.volume_crops import CenterCrop3D, RandomCrop3D, RandomResizedCrop3D, Resize3D
 from kvision.augmentation.volumes import (
     RandomAffine3D,

@@ -13,9 +13,9 @@ from kvision.augmentation.draws import integer
 from kvision.augmentation.engine import Execution, Params
 from kvision.augmentation.keys import Seed
 from kvision.augmentation.labels import BOX_FORMATS
+from kvision.augmentation.mixing.transplantation import MaskMixBase
 from kvision.augmentation.random_generator.base import RandomGeneratorBase, Shape
 from kvision.augmentation.random_generator.windows import random_numbers
-from kvision.augmentation.mixing.transplantation import MaskMixBase
 from kvision.constants import DataKey, DataKeys
 from kvision.core.exceptions import ShapeError, ValueCheckError
 from kvision.filters.smoothing.gaussian import gaussian_blur2d

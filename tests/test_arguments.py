@@ -83,6 +83,8 @@ WRITERS = {"write_image", "show", "save_pointcloud_ply", "save_pointcloud_ply_bi
 
 def tensors(home: str) -> Iterator[tuple[Call, str | int, bool]]:
     """The tensors in the examples of a file, and whether they are first arguments."""
+    if home.startswith("tv."):
+        return  # torchvision's functions take arrays or PIL images, too
     for calls in example_calls(home).values():
         seen = set()
         for call in calls:

@@ -7,16 +7,154 @@ Samples of a batch (B, C, H, W) draw by themselves; :class:`SameOnBatch` draws o
 
 from kvision import _torch_compat
 from kvision.tv import functional as functional
-from kvision.tv.color import *  # noqa: F403
-from kvision.tv.containers import *  # noqa: F403
-from kvision.tv.functional.geometry import InterpolationMode as InterpolationMode
-from kvision.tv.geometry import *  # noqa: F403
-from kvision.tv.mixing import *  # noqa: F403
-from kvision.tv.transform import Transform as Transform
-from kvision.tv.values import *  # noqa: F403
+from kvision.tv.color import (
+    JPEG,
+    RGB,
+    ColorJitter,
+    GaussianBlur,
+    GaussianNoise,
+    Grayscale,
+    RandomAdjustSharpness,
+    RandomAutocontrast,
+    RandomChannelPermutation,
+    RandomEqualize,
+    RandomErasing,
+    RandomGrayscale,
+    RandomInvert,
+    RandomPhotometricDistort,
+    RandomPosterize,
+    RandomSolarize,
+)
+from kvision.tv.containers import (
+    Compose,
+    RandomApply,
+    RandomChoice,
+    RandomOrder,
+    SameOnBatch,
+)
+from kvision.tv.functional.geometry import (
+    InterpolationMode,
+)
+from kvision.tv.geometry import (
+    CenterCrop,
+    ElasticTransform,
+    FiveCrop,
+    Pad,
+    RandomAffine,
+    RandomCrop,
+    RandomHorizontalFlip,
+    RandomIoUCrop,
+    RandomPerspective,
+    RandomResize,
+    RandomResizedCrop,
+    RandomRotation,
+    RandomShortestSize,
+    RandomVerticalFlip,
+    RandomZoomOut,
+    Resize,
+    ScaleJitter,
+    TenCrop,
+)
+from kvision.tv.mixing import (
+    AugMix,
+    AutoAugment,
+    AutoAugmentPolicy,
+    CutMix,
+    MixUp,
+    RandAugment,
+    TrivialAugmentWide,
+)
+from kvision.tv.transform import (
+    Transform,
+)
+from kvision.tv.values import (
+    ClampBoundingBoxes,
+    ClampKeyPoints,
+    ConvertBoundingBoxFormat,
+    ConvertImageDtype,
+    Identity,
+    Lambda,
+    LinearTransformation,
+    Normalize,
+    PILToTensor,
+    SanitizeBoundingBoxes,
+    SanitizeKeyPoints,
+    SetClampingMode,
+    ToDtype,
+    ToImage,
+    ToPILImage,
+    ToPureTensor,
+    ToTensor,
+    UniformTemporalSubsample,
+)
 
-_BASES = {"Chance", "RandomTransform"}
-_CLASSES = {name for name, value in globals().items() if getattr(value, "__module__", "").startswith("kvision.tv.")}
-__all__ = sorted(name for name in _CLASSES - _BASES if name[0] not in "_" and isinstance(globals()[name], type))
+__all__ = [
+    "JPEG",
+    "RGB",
+    "AugMix",
+    "AutoAugment",
+    "AutoAugmentPolicy",
+    "CenterCrop",
+    "ClampBoundingBoxes",
+    "ClampKeyPoints",
+    "ColorJitter",
+    "Compose",
+    "ConvertBoundingBoxFormat",
+    "ConvertImageDtype",
+    "CutMix",
+    "ElasticTransform",
+    "FiveCrop",
+    "GaussianBlur",
+    "GaussianNoise",
+    "Grayscale",
+    "Identity",
+    "InterpolationMode",
+    "Lambda",
+    "LinearTransformation",
+    "MixUp",
+    "Normalize",
+    "PILToTensor",
+    "Pad",
+    "RandAugment",
+    "RandomAdjustSharpness",
+    "RandomAffine",
+    "RandomApply",
+    "RandomAutocontrast",
+    "RandomChannelPermutation",
+    "RandomChoice",
+    "RandomCrop",
+    "RandomEqualize",
+    "RandomErasing",
+    "RandomGrayscale",
+    "RandomHorizontalFlip",
+    "RandomInvert",
+    "RandomIoUCrop",
+    "RandomOrder",
+    "RandomPerspective",
+    "RandomPhotometricDistort",
+    "RandomPosterize",
+    "RandomResize",
+    "RandomResizedCrop",
+    "RandomRotation",
+    "RandomShortestSize",
+    "RandomSolarize",
+    "RandomVerticalFlip",
+    "RandomZoomOut",
+    "Resize",
+    "SameOnBatch",
+    "SanitizeBoundingBoxes",
+    "SanitizeKeyPoints",
+    "ScaleJitter",
+    "SetClampingMode",
+    "TenCrop",
+    "ToDtype",
+    "ToImage",
+    "ToPILImage",
+    "ToPureTensor",
+    "ToTensor",
+    "Transform",
+    "TrivialAugmentWide",
+    "UniformTemporalSubsample",
+]
 
 _torch_compat.refuse_script(globals())

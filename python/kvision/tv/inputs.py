@@ -105,7 +105,7 @@ def to_pil_image(pic: Any, mode: str | None = None) -> Any:
     elif kind_of(pic) == "array":
         array = pic
     else:
-        raise TypeCheckError(f"to_pil_image: expected pic to be a tensor or an array, got {type(pic).__name__}")
+        raise TypeCheckError(f"to_pil_image: expected pic to be a Tensor or an array, got {type(pic).__name__}")
     if array.ndim not in (2, 3) or (array.ndim == 3 and not 1 <= array.shape[2] <= 4):
         raise ValueError(f"to_pil_image: expected pic of two axes and 1 to 4 channels, got {tuple(pic.shape)}")
     if np.issubdtype(array.dtype, np.floating) and mode != "F":

@@ -7,6 +7,7 @@ import inspect
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -39,6 +40,7 @@ def functional(
 
         @functools.wraps(kernel)
         def call(inpt: Any, *args: Any, **kwargs: Any) -> Any:
+            args, kwargs = _as_numbers(args), {key: _as_numbers(value) for key, value in kwargs.items()}
             kind = kind_of(inpt)
             if kind == "tensor":
                 return kernel(inpt, *args, **kwargs)
@@ -58,13 +60,25 @@ def functional(
                 return getattr(v2, name)(inpt, *args, **kwargs)
             if own := _own_kernel(name, inpt):
                 return own(inpt, *args, **kwargs)
-            raise TypeCheckError(f"{name}: expected an image, a video or a PIL image, got {type(inpt).__name__}")
+            raise TypeCheckError(
+                f"{name}: expected inpt to be a Tensor, tv_tensor or PIL image, got {type(inpt).__name__}"
+            )
 
         call.kinds = IMAGES | {"mask"} | LABELS if moves else IMAGES  # type: ignore[attr-defined]
         call.of_each = functools.partial(_of_each, call, each, mask, parameters)  # type: ignore[attr-defined]
         return call
 
     return decorate
+
+
+def _as_numbers(value: Any) -> Any:
+    """Numbers of NumPy or torch, and lists of them, as Python's, which v2's arguments are."""
+    if type(value) in (list, tuple):
+        return type(value)(map(_as_numbers, value))
+    is_number = isinstance(value, np.generic) or (
+        isinstance(value, Tensor) and value.dim() == 0 and not value.requires_grad
+    )
+    return value.item() if is_number else value
 
 
 Arguments = tuple[tuple[Any, ...], dict[str, Any]]

@@ -15,7 +15,7 @@ from kvision.augmentation import ranges
 from kvision.augmentation.draws import Draw
 from kvision.augmentation.engine import Execution, Shape
 from kvision.augmentation.geometric_base import AntialiasedByMatrix, GeometricAugmentationBase2D
-from kvision.augmentation.keys import refuse_graphs
+from kvision.augmentation.keys import refuse_capture, refuse_graphs
 from kvision.augmentation.maps import warp, warp_labels
 from kvision.augmentation.random_generator.affine import AffineGenerator, ShearGenerator, TranslateGenerator
 from kvision.augmentation.random_generator.base import RandomGeneratorBase
@@ -145,6 +145,7 @@ class RandomRotation(GeometricAugmentationBase2D):
     def _canvas(self, execution: Execution) -> tuple[int, int]:
         """The height and width of the largest rotated image, from angles that the host draws again."""
         refuse_graphs(type(self).__name__)
+        refuse_capture(type(self).__name__)
         height, width = execution.shape[-2:]
         angles = torch.deg2rad(self._read_params(execution)["degrees"].double())
         if execution.chosen is not None:

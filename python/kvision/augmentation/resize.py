@@ -17,7 +17,7 @@ from kvision.augmentation.draws import Draw
 from kvision.augmentation.engine import Execution, Params, Shape
 from kvision.augmentation.geometric_base import GeometricAugmentationBase2D
 from kvision.augmentation.inputs import parse_size
-from kvision.augmentation.keys import refuse_graphs, refuse_mapped
+from kvision.augmentation.keys import refuse_capture, refuse_graphs, refuse_mapped
 from kvision.augmentation.maps import warp, warp_labels
 from kvision.augmentation.random_generator.base import RandomGeneratorBase
 from kvision.augmentation.random_generator.crop import ResizeGenerator
@@ -27,7 +27,7 @@ from kvision.augmentation.transforms import Transform, transform_matrix
 from kvision.augmentation.warp_and_color import Resampling
 from kvision.color.frames import Frames
 from kvision.constants import AnyResample, Resample
-from kvision.core.exceptions import ValueCheckError
+from kvision.core.exceptions import ShapeError, ValueCheckError
 
 __all__ = ["LongestMaxSize", "Pad", "PadIfNeeded", "PadTo", "RandomScale", "Resize", "SmallestMaxSize"]
 
@@ -236,6 +236,7 @@ class RandomScale(GeometricAugmentationBase2D):
         if not execution.applied or not execution.shape[0]:
             return height, width
         refuse_graphs("RandomScale")
+        refuse_capture("RandomScale")
         scale = self._read_params(execution)["scale"]
         refuse_mapped("RandomScale", scale)
         factor = float(scale[0])
@@ -251,6 +252,8 @@ class RandomScale(GeometricAugmentationBase2D):
     def _run(self, x: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
         if not execution.applied or self._is_customized():
             return super()._run(x, execution, flags)
+        if x.dim() != 4:
+            raise ShapeError(f"RandomScale: expected images of shape (B, C, H, W), got {tuple(x.shape)}")
         execution.matrix, size = self._matrix_of(x, execution, flags), self._size_of(execution, flags)
         if not flags["antialias"]:
             return warp(x, execution.matrix, size, self.resampling(flags))

@@ -440,7 +440,10 @@ def test_mixtures_keep_positions_of_labels(device: torch.device) -> None:
     y, mask, moved_points = augment(x, x, points)
     assert torch.equal(mask, x) and torch.equal(moved_points, points) and not torch.equal(y, x)
     assert torch.equal(augment(x, x, points, params=augment._params)[0], y)
-    assert torch.equal(augment.transform_matrix, torch.eye(3).expand(32, 3, 3)) and augment.is_intensity_only()
+    assert (
+        torch.equal(augment.transform_matrix, torch.eye(3, device=device).expand(32, 3, 3))
+        and augment.is_intensity_only()
+    )
 
 
 def test_gradients_of_a_mixture(device: torch.device) -> None:

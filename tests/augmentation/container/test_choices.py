@@ -78,7 +78,7 @@ def test_nothing_changes_at_p_0(name: str, device: torch.device) -> None:
     for dtype in (torch.float32, torch.uint8):
         x, augment = images(device, dtype=dtype), CHOICES[name](*children(), p=0.0)
         assert torch.equal(augment(x), x) and augment._params == [] and torch.equal(augment(x, params=[]), x)
-        assert torch.equal(augment.transform_matrix, torch.eye(3).expand(8, 3, 3))
+        assert torch.equal(augment.transform_matrix, torch.eye(3, device=device).expand(8, 3, 3))
 
 
 def test_each_sample_is_what_its_child_gives(device: torch.device) -> None:

@@ -52,6 +52,7 @@ class Execution:
     is_of_list = False  # of images of different sizes
     keeps_map = False  # for labels of the same call
     map: Tensor | None = None  # of a deformation, kept by `keeps_map`
+    found: Params | None = None  # parameters by name that labels gave
 
     def __init__(
         self,

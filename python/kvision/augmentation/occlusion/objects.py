@@ -20,6 +20,7 @@ from kvision.augmentation.random_generator.mapped import MappedGenerator
 from kvision.augmentation.random_generator.occlusion import fill_maps
 from kvision.augmentation.ranges import Numbers
 from kvision.contrib.connected_components import connected_components
+from kvision.core.exceptions import ShapeError
 
 
 class MaskDropout(DropoutBase, keeps_contract=True):
@@ -74,20 +75,30 @@ class MaskDropout(DropoutBase, keeps_contract=True):
     def _draw_and_run(
         self, x: Tensor, seed: Seed, generator: Generator | None, flags: dict[str, Any], labels: Any = None
     ) -> tuple[Tensor, Execution]:
-        execution = self._draw(x, seed, generator)
+        if x.dim() != 4:
+            raise ShapeError(f"MaskDropout: expected images of shape (B, C, H, W), got {tuple(x.shape)}")
+        execution = self.__dict__["_execution"] = self._draw(x, seed, generator)
         if execution.applied:
-            params = dict(self._params_on_device(x, execution))
             if labels is None and not is_compiling():
                 warnings.warn(
                     "MaskDropout: this call has no masks, so that nothing is dropped: pass `masks=`, or in an "
                     "AugmentationSequential the data key 'mask'",
                     stacklevel=2,
                 )
-            params["dropped"] = self._dropped(params, labels, x)
-            params["batch_prob"] = x.new_ones(len(x)) if execution.chosen is None else execution.chosen.to(x.device)
-            execution = self._from_params(params, x)
-        self.__dict__["_execution"] = execution
+            execution.found = {"dropped": self._dropped(execution, labels, x)}
         return self._run(x, execution, flags), execution
+
+    def _read_params(self, execution: Execution) -> Params:
+        if execution.params is None:
+            batch, _, height, width = execution.shape
+            found = execution.found or {"dropped": torch.zeros(batch, 1, height, width, dtype=torch.bool)}
+            params = super()._read_params(execution)
+            execution.params = {**params, **self._on_device(found, params["batch_prob"].device)}
+        return execution.params
+
+    def _params_on_device(self, x: Tensor, execution: Execution, for_users: bool = True) -> Params:
+        params = super()._params_on_device(x, execution, for_users)
+        return params if "dropped" in params else {**params, **(execution.found or {})}
 
     def _run_with_masks(
         self, x: Tensor, masks: Any, params: Params | None, seed: Seed, generator: Generator | None
@@ -98,14 +109,15 @@ class MaskDropout(DropoutBase, keeps_contract=True):
         execution = self.__dict__["_execution"] = self._from_params(params, x)
         return self._run(x, execution, self.flags), execution
 
-    def _dropped(self, params: Params, labels: Sequence[Tensor] | None, x: Tensor) -> Tensor:
+    def _dropped(self, execution: Execution, labels: Sequence[Tensor] | None, x: Tensor) -> Tensor:
         """The pixels (B, 1, H, W) of the objects that are dropped.
 
         Every object has a random rank, that of its pixels; those of the highest ranks are dropped, without a loop over all.
         """
         dropped = torch.zeros((len(x), 1, *x.shape[-2:]), dtype=torch.bool, device=x.device)
-        if labels is None or 0 in labels[0].shape:
+        if labels is None or execution.columns is None or 0 in labels[0].shape:
             return dropped
+        params = self._named(execution.columns.values, execution)
         masks = labels[0].to(x.device)
         is_inside = masks != 0
         if masks.shape[1] == 1:

@@ -64,7 +64,7 @@ GEOMETRIC = [
     Augmentation("RandomIoUCrop", fixed=True),
     Augmentation("RandomSizedBBoxSafeCrop", (9, 11, 0.2), large=(96, 110, 0.2), changes_size=True),
     Augmentation("RandomZoomOut"),
-    Augmentation("RandomScale", ((0.6, 0.9),), changes_size=True, one_kernel=True),
+    Augmentation("RandomScale", ((0.6, 0.9),), changes_size=True, one_kernel=True, all_or_none=True),
     Augmentation("RandomResizedCrop", ((9, 11),), large=((96, 110),), changes_size=True),
     Augmentation("Resize", ((9, 11),), large=((96, 110),), **SIZED),
     Augmentation("SmallestMaxSize", (9,), large=(90,), **SIZED),

@@ -17,7 +17,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 REFERENCES, KERNELS, TESTS, PAGES = (ROOT / f for f in ("python/kvision", "csrc", "tests", "docs/reference"))
-REGISTERED = re.compile(r'\b(?:_?register(?:_added|_filter|_fit|_formula)?|FastPath|ListOperator)\(\s*"(\w+)"')
+REGISTERED = re.compile(r'\b(?:_?register(?:_added|_eraser|_filter|_fit|_formula)?|FastPath|ListOperator)\(\s*"(\w+)"')
 DECLARED = re.compile(r"^KV_OPERATOR\(\s*(\w+)\s*,", re.MULTILINE)
 TABULATED = re.compile(r"^  _\((\w+), [\w:<>]+,", re.MULTILINE)  # a row of a table of formulas in a header
 SOURCES = (".cpp", ".cu", ".cuh", ".h", ".md", ".py")
@@ -51,6 +51,8 @@ EXCEPTIONS = {
     "geometry/solvers/_two_view_fits": "test_ransac.py, which alone calls it",
     "geometry/solvers/_minimal": "test_ransac.py, which alone calls it",
     **dict.fromkeys(("resize_list", "resize_list_backward"), "defined beside resize, which they are for lists"),
+    "copy_rows": "the engine joins batches by it, the kernel lies with those of lists",
+    "augmentation/engine/turns": "container/test_choices.py: the choices that it runs",
     "geometry/transform/sampling": "test_warp.py: the kernels of warps and remap",
 }
 

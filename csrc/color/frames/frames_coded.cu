@@ -1,7 +1,7 @@
 // RGB to the codes of video frames on CUDA: a thread takes four adjacent columns of a row of chroma, and its rows of
 // luma.
-#include "frames_coded.h"
 #include "core/launch.cuh"
+#include "frames_coded.h"
 
 namespace kv::color::cuda {
 namespace {

@@ -1,8 +1,8 @@
 // RGB to the codes of video frames on the CPU: a row of chroma at a time, with its rows of luma. Compiled once per
 // instruction set.
-#include "frames_coded.h"
 #include "core/lanes.h"
 #include "core/scratch.h"
+#include "frames_coded.h"
 
 namespace kv::color::KV_ISA {
 namespace {

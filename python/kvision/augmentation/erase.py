@@ -42,7 +42,7 @@ def is_line(images: Tensor, grids: Tensor) -> Tensor:
     return ((along_x.remainder(cell) < line) | (along_y.remainder(cell) < line))[:, None]
 
 
-def _eraser(name: str, is_part: Callable[[Tensor, Tensor], Tensor]) -> Operator:
+def _register_eraser(name: str, is_part: Callable[[Tensor, Tensor], Tensor]) -> Operator:
     """The operator that sets parts of images to values (B, C), or (B, 1) for all channels, in the units of the images."""
 
     def reference(images: Tensor, parts: Tensor, values: Tensor) -> Tensor:
@@ -63,5 +63,5 @@ def _eraser(name: str, is_part: Callable[[Tensor, Tensor], Tensor]) -> Operator:
     return erase
 
 
-erase_rectangles = _eraser("erase_rectangles", is_erased)
-erase_grid = _eraser("erase_grid", is_line)
+erase_rectangles = _register_eraser("erase_rectangles", is_erased)
+erase_grid = _register_eraser("erase_grid", is_line)

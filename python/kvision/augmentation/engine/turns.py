@@ -152,8 +152,8 @@ def _interleaved(tensors: Sequence[Tensor], positions: Sequence[Sequence[int]]) 
     """One batch of the rows of tensors, which come to these positions."""
     first, dtype = tensors[0], tensors[0].dtype
     if first.dim() == 4 and all(tensor.dtype == dtype and _copy_rows.serves(tensor) for tensor in tensors):
-        order = sorted((at, row) for row, at in enumerate(chain(*positions)))
-        copied: Tensor = _copy_rows.kernel(list(tensors), [row for _, row in order])
+        rows_of_positions = sorted((at, row) for row, at in enumerate(chain(*positions)))
+        copied: Tensor = _copy_rows.kernel(list(tensors), [row for _, row in rows_of_positions])
         return copied
     has_one_type = all(tensor.dtype == dtype for tensor in tensors)
     needs_graph = torch.is_grad_enabled() and any(tensor.requires_grad for tensor in tensors)

@@ -566,6 +566,7 @@ DATA |= {"corners", "kernel_centers", "kernel_weights", "affine_weights", "pixel
 READ = {"draw_line", "draw_point2d", "draw_rectangle", "draw_convex_polygon", "crop_by_boxes", "crop_by_boxes3d"}
 READ |= {"crop_by_indices"}
 READ |= {"linear_transform"}  # uses torch.autocast, which has no answer for meta
+READ |= {"MaskDropout.forward"}  # numbers the regions of masks
 
 
 def tensor_parameters(home: str) -> Iterator[tuple[Call, str]]:

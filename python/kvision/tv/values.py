@@ -424,7 +424,7 @@ class SanitizeBoundingBoxes(_Sanitize):
     Example:
         >>> from kvision import tv
         >>> tv.SanitizeBoundingBoxes(min_size=2)
-        SanitizeBoundingBoxes(labels_getter=default, min_size=2, min_area=1.0)
+        SanitizeBoundingBoxes(min_size=2.0, min_area=1.0, labels_getter=default)
     """
 
     min_size: float = 1.0

@@ -91,7 +91,7 @@ class MaskDropout(DropoutBase, keeps_contract=True):
     def _read_params(self, execution: Execution) -> Params:
         if execution.params is None:
             batch, _, height, width = execution.shape
-            found = execution.found or {"dropped": torch.zeros(batch, 1, height, width, dtype=torch.bool)}
+            found = execution.found or {"dropped": torch.zeros(batch, 1, height, width, dtype=torch.bool, device="cpu")}
             params = super()._read_params(execution)
             execution.params = {**params, **self._on_device(found, params["batch_prob"].device)}
         return execution.params

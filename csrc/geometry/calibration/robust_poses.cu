@@ -6,7 +6,7 @@ namespace kv::geometry::cuda {
 namespace {
 
 constexpr int kThreads = 128;
-static_assert(kThreads <= kMaxThreads && kThreads <= robust_pose::kMostThreads);
+static_assert(kThreads <= kMaxThreads && kThreads <= robust_pose::kMaxGroupThreads);
 
 template <class T>
 __global__ void __launch_bounds__(kThreads) solve_problems(__grid_constant__ RobustPoses<T> const p) {

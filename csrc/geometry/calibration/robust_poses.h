@@ -30,7 +30,7 @@ namespace robust_pose {
 constexpr double kEnd = 11.345 / 2;  // x_end: 99% of the squared norms of three normal numbers are below its double
 constexpr double kRest = 0.003439256378518648;  // exp(-x_end)
 constexpr double kTolerance = 1e-5;             // the relative increase of a score that a further fit is worth
-constexpr int kMostThreads = 256;               // of a group
+constexpr int kMaxGroupThreads = 256;           // of a group
 
 struct Gain {
   double weight, gain;
@@ -77,8 +77,8 @@ KV_CALLED double score_hypothesis(RobustPoses<T> const& p, int64_t b, int64_t hy
 }
 
 struct Candidates {
-  double scores[kMostThreads];
-  int64_t hypotheses[kMostThreads];
+  double scores[kMaxGroupThreads];
+  int64_t hypotheses[kMaxGroupThreads];
 };
 
 // The hypothesis of the highest score, the first of equal ones.

@@ -14,7 +14,7 @@ from kvision._dtype import compute_dtype
 from kvision.augmentation import ranges
 from kvision.augmentation.crops.crop import PadMode, four_sides, padding_resampling
 from kvision.augmentation.draws import Draw
-from kvision.augmentation.engine import Execution, Params, Shape
+from kvision.augmentation.engine import Execution, Params, Shape, check_images
 from kvision.augmentation.geometric_base import GeometricAugmentationBase2D
 from kvision.augmentation.inputs import parse_size
 from kvision.augmentation.keys import refuse_capture, refuse_graphs, refuse_mapped
@@ -27,7 +27,7 @@ from kvision.augmentation.transforms import Transform, transform_matrix
 from kvision.augmentation.warp_and_color import Resampling
 from kvision.color.frames import Frames
 from kvision.constants import AnyResample, Resample
-from kvision.core.exceptions import ShapeError, ValueCheckError
+from kvision.core.exceptions import ValueCheckError
 
 __all__ = ["LongestMaxSize", "Pad", "PadIfNeeded", "PadTo", "RandomScale", "Resize", "SmallestMaxSize"]
 
@@ -252,8 +252,7 @@ class RandomScale(GeometricAugmentationBase2D):
     def _run(self, x: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
         if not execution.applied or self._is_customized():
             return super()._run(x, execution, flags)
-        if x.dim() != 4:
-            raise ShapeError(f"RandomScale: expected images of shape (B, C, H, W), got {tuple(x.shape)}")
+        check_images("RandomScale", x.shape)
         execution.matrix, size = self._matrix_of(x, execution, flags), self._size_of(execution, flags)
         if not flags["antialias"]:
             return warp(x, execution.matrix, size, self.resampling(flags))

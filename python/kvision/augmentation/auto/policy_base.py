@@ -21,10 +21,11 @@ from kvision.augmentation.engine import (
     ParamItem,
     Record,
     check_batch_of_params,
+    check_images,
     checked_items,
 )
 from kvision.augmentation.keys import check_seeds, draw_keys
-from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
+from kvision.core.exceptions import TypeCheckError, ValueCheckError
 
 __all__ = ["PolicyAugmentBase"]
 
@@ -216,8 +217,7 @@ class PolicyAugmentBase(ImageSequential):
 
     def _run(self, x: Tensor, drawn: Drawn) -> tuple[Tensor, Chain]:
         """Execute what was drawn; gives the images, and what labels have to follow."""
-        if x.dim() != 4:
-            raise ShapeError(f"{type(self).__name__}: expected images of shape (B, C, H, W), got {tuple(x.shape)}")
+        check_images(type(self).__name__, x.shape)
         y, stages = execute_steps(x, self._names[: drawn.operation.shape[1]], drawn.operation, drawn.value)
         return y, Chain(stages)
 

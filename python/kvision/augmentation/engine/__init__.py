@@ -51,6 +51,7 @@ from kvision.augmentation.engine.execution import (
     Params,
     Shape,
     check_batch_of_params,
+    check_images,
     matrix_type,
     replaying,
 )
@@ -90,6 +91,7 @@ __all__ = [
     "VideoSequential",
     "Warp",
     "check_batch_of_params",
+    "check_images",
     "checked_items",
     "joins",
     "matrix_type",

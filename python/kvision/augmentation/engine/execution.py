@@ -24,6 +24,12 @@ def check_batch_of_params(op: str, count: int, batch: int) -> None:
         raise ShapeError(f"{op}: expected params of a batch of {batch}, got those of {count} images")
 
 
+def check_images(op: str, shape: Shape, axes: int = 4) -> None:
+    """Raise ShapeError unless a shape is that of a batch of images, which has so many axes."""
+    if len(shape) != axes:
+        raise ShapeError(f"{op}: expected images of shape (B, C, H, W), got {tuple(shape)}")
+
+
 @contextlib.contextmanager
 def replaying(op: str, params: Any) -> Iterator[None]:
     """Name in an error what is no dict of parameters, and the parameter that a replay does not find in it."""

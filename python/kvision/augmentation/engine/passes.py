@@ -21,12 +21,11 @@ from kvision.augmentation.drawn_links import DrawnLinks
 from kvision.augmentation.drawn_pass import DrawnPass
 from kvision.augmentation.engine.augmentation import AugmentationBase
 from kvision.augmentation.engine.contribution import Motion
-from kvision.augmentation.engine.execution import Execution, Shape
+from kvision.augmentation.engine.execution import Execution, Shape, check_images
 from kvision.augmentation.engine.stages import Applied, Composed, MapLink, Stage, Warp
 from kvision.augmentation.samples import where_chosen
 from kvision.augmentation.transforms import MAX_TRANSFORMS, MatrixPlan, Transform, keeps_rows, transform_matrix
 from kvision.augmentation.warp_and_color import SAME, ColorPart, Output, Pass, Resampling, fits_one_program, make_pass
-from kvision.core.exceptions import ShapeError
 
 # --- steps ----------------------------------------------------------------------------------------------------------
 
@@ -208,8 +207,8 @@ class _Planner:
         contribution = module._contribution(shape, module.flags)
         motion = None if contribution is None else contribution.motion
         colors = None if contribution is None else contribution.colors
-        if contribution is not None and len(shape) != module.axes + 1 and not contribution.takes_volumes:
-            raise ShapeError(f"{type(module).__name__}: expected images of shape (B, C, H, W), got {shape}")
+        if contribution is not None and not contribution.takes_volumes:
+            check_images(type(module).__name__, shape, module.axes + 1)
         has_columns = execution.params is None or span is not None
         if colors is not None and has_columns:
             constants = module._constants(shape, execution.params)

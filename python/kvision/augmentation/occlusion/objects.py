@@ -12,7 +12,7 @@ from torch.compiler import is_compiling
 
 from kvision.augmentation import ranges
 from kvision.augmentation.draws import mixed_words
-from kvision.augmentation.engine import Execution, Params
+from kvision.augmentation.engine import Execution, Params, check_images
 from kvision.augmentation.keys import Seed
 from kvision.augmentation.labels import masks_as_batch
 from kvision.augmentation.occlusion.dropout_base import DropoutBase
@@ -20,7 +20,6 @@ from kvision.augmentation.random_generator.mapped import MappedGenerator
 from kvision.augmentation.random_generator.occlusion import fill_maps
 from kvision.augmentation.ranges import Numbers
 from kvision.contrib.connected_components import connected_components
-from kvision.core.exceptions import ShapeError
 
 
 class MaskDropout(DropoutBase, keeps_contract=True):
@@ -75,8 +74,7 @@ class MaskDropout(DropoutBase, keeps_contract=True):
     def _draw_and_run(
         self, x: Tensor, seed: Seed, generator: Generator | None, flags: dict[str, Any], labels: Any = None
     ) -> tuple[Tensor, Execution]:
-        if x.dim() != 4:
-            raise ShapeError(f"MaskDropout: expected images of shape (B, C, H, W), got {tuple(x.shape)}")
+        check_images("MaskDropout", x.shape)
         execution = self.__dict__["_execution"] = self._draw(x, seed, generator)
         if execution.applied:
             if labels is None and not is_compiling():

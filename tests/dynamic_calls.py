@@ -26,7 +26,14 @@ NUMBERS = "gives a bool, a float or a list of floats of Python, computed from th
 LEFT_OUT = {
     **dict.fromkeys(("geometry.crop_by_boxes", "geometry.crop_by_boxes3d", "geometry.crop_by_indices"), SIZE_OF_DATA),
     **dict.fromkeys(
-        ("geometry.batched_nms", "geometry.nms", "geometry.remove_small_boxes", "geometry.soft_nms"), SIZE_OF_DATA
+        (
+            "geometry.batched_nms",
+            "geometry.nms",
+            "geometry.nms_rotated",
+            "geometry.remove_small_boxes",
+            "geometry.soft_nms",
+        ),
+        SIZE_OF_DATA,
     ),
     **dict.fromkeys(
         (

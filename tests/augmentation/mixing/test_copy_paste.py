@@ -10,6 +10,7 @@ from torch import Tensor
 
 import kvision as K
 import kvision.augmentation as A
+from kvision.augmentation.mixing.copy_paste import _other_samples
 
 KEYS = ["image", "mask", "bbox_xyxy", "class"]
 
@@ -27,12 +28,12 @@ def scene(device: torch.device) -> list[Tensor]:
     return [x.to(device) for x in (images, masks, boxes, labels)]
 
 
-def expected(data: list[Tensor], selected: Tensor, least: float) -> tuple[list[Any], Tensor]:
+def expected(data: list[Tensor], donors: Tensor, selected: Tensor, least: float) -> tuple[list[Any], Tensor]:
     """By a loop over samples, instances and pixels."""
     images, masks, boxes, labels = (x.cpu() for x in data)
     results: list[Any] = []
     for i in range(len(images)):
-        donor = (i - 1) % len(images)
+        donor = int(donors[i])
         own, theirs = masks[i].clone(), torch.zeros_like(masks[i])
         image, given = images[i].clone(), torch.cat([boxes[i], torch.zeros_like(boxes[i])])
         names = torch.cat([labels[i], torch.full_like(labels[i], -1)])
@@ -63,14 +64,35 @@ def test_pixels_boxes_and_labels(least: float, dtype: torch.dtype, device: torch
     numbers = set()
     for seed in range(8):
         outputs = paste(*data, seed=seed)
-        selected = paste._params["selected"].cpu()
+        donors, selected = (paste._params[name].cpu() for name in ("donors", "selected"))
         numbers.add(int(selected.sum()))
-        for output, value in zip(outputs, expected(data, selected, least)[0], strict=True):
+        for output, value in zip(outputs, expected(data, donors, selected, least)[0], strict=True):
             assert torch.equal(output.cpu(), value)
         assert all(map(torch.equal, paste(*data, params=paste._params), outputs))
     assert len(numbers) > 2
     assert torch.equal(A.RandomCopyPaste(p=0.0)(*data[:2])[0], data[0])
     assert torch.equal(A.RandomCopyPaste(p=0.0)(*data[:2])[1][:, :3], data[1])
+
+
+def test_donors_are_all_others_equally_likely(device: torch.device) -> None:
+    """By the formula of a word of 24 bits, known values, and counts of many draws; a sample alone is its own."""
+    words = torch.tensor([0, 2**24 // 3 - 1, 2**24 // 3 + 1, 2**24 - 1], dtype=torch.float32)
+    assert _other_samples(words.to(device)).tolist() == [1, 2, 0, 2]
+    assert _other_samples(words[:1]).tolist() == [0]
+    paste, data, counts = A.RandomCopyPaste(1.0, p=1.0), scene(device)[:2], torch.zeros(4, 4)
+    for seed in range(300):
+        result = paste(*data, seed=seed)
+        donors = paste._params["donors"].cpu()
+        counts[torch.arange(4), donors] += 1
+        assert all(map(torch.equal, paste(*data, seed=seed), result))
+    assert counts.diagonal().tolist() == [0] * 4
+    others = counts[~torch.eye(4, dtype=torch.bool)]  # binomial: mean 100, standard deviation 8
+    assert (others - 100).abs().amax() < 35
+    seeds = torch.tensor([7, 8, 9, 10])
+    paste(*data, seed=seeds)
+    donors = paste._params["donors"].cpu()
+    paste(*data, seed=torch.tensor([1, 8, 3, 10]))  # those of a sample are by its seed alone
+    assert paste._params["donors"].cpu()[1::2].equal(donors[1::2])
 
 
 @pytest.mark.parametrize("nested", [False, True])
@@ -82,7 +104,7 @@ def test_in_containers(nested: bool, device: torch.device) -> None:
     augment = A.AugmentationSequential(*children, data_keys=KEYS)
     image, masks, boxes, labels = augment(*data)
     others = A.AugmentationSequential(flip, data_keys=KEYS)
-    expected = paste(*others(*data))
+    expected = paste(*others(*data), params=paste._params)  # the donors of the call
     for result, value in zip((image, masks, labels), (expected[0].flip(-1), expected[1].flip(-1), expected[3])):
         assert torch.equal(result, value)
     tight = K.geometry.masks_to_boxes(masks, "xyxy")
@@ -95,10 +117,12 @@ def test_in_containers(nested: bool, device: torch.device) -> None:
 def test_soft_edges(device: torch.device) -> None:
     images, masks = scene(device)[:2]
     hard, _ = A.RandomCopyPaste(1.0, p=1.0)(images, masks)
-    soft, _ = A.RandomCopyPaste(1.0, blend_sigma=1.0, p=1.0)(images, masks)
-    pasted = (masks.roll(1, 0) != 0).any(1, keepdim=True).float()
+    paste = A.RandomCopyPaste(1.0, blend_sigma=1.0, p=1.0)
+    soft, _ = paste(images, masks)
+    donors = paste._params["donors"]
+    pasted = (masks[donors] != 0).any(1, keepdim=True).float()
     alpha = K.filters.gaussian_blur2d(pasted, (9, 9), (1.0, 1.0), "replicate")
-    torch.testing.assert_close(soft, images + (images.roll(1, 0) - images) * alpha)
+    torch.testing.assert_close(soft, images + (images[donors] - images) * alpha)
     assert not torch.equal(soft, hard)
 
 

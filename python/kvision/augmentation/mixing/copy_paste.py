@@ -24,18 +24,25 @@ __all__ = ["RandomCopyPaste"]
 
 
 class _WordsGenerator(RandomGeneratorBase):
-    """Draws two numbers of each sample, from which those of its instances follow."""
+    """Draws three numbers of each sample: from two those of its instances follow, from the third its donor."""
 
-    fields = (("words", 2),)
+    fields = (("words", 2), ("donor", 0))
 
     def draws(self, shape: Shape) -> list[Any]:
-        return [integer(0, 2**24 - 1), integer(0, 2**24 - 1)]  # exact in float32
+        return [integer(0, 2**24 - 1)] * 3  # exact in float32
+
+
+def _other_samples(words: Tensor) -> Tensor:
+    """Another sample of the batch for each, all equally likely, by words (B,) of 24 bits; of one sample itself."""
+    samples = words.shape[0]
+    steps = 1 + ((words.long() * (samples - 1)) >> 24)
+    return (torch.arange(samples, device=words.device) + steps) % samples
 
 
 class RandomCopyPaste(MaskMixBase):
-    """Paste random instances of one sample into the next one of the batch: simple copy-paste of instance segmentation.
+    """Paste random instances of one sample into another one of the batch: simple copy-paste of instance segmentation.
 
-    The donor of a sample is the one before it in the batch. What is pasted hides what was there: masks lose these pixels, boxes
+    The donor of a sample is a random other one of the batch, all equally likely. What is pasted hides what was there: masks lose these pixels, boxes
     become those around what is left of their masks, and instances of which too little is left are removed. So of N instances
     there are 2 N: those of the image, and behind them those of the donor. Instances that are removed or not pasted have a mask
     and a box of zeros and the label -1. For the published recipe put scale jitter, as of :class:`RandomZoomOut` and
@@ -107,12 +114,14 @@ class RandomCopyPaste(MaskMixBase):
         execution = self._draw(masks.new_empty(1, dtype=torch.float32).expand(shape), seed, generator)
         columns, applied = execution.columns, execution.applied
         selected = torch.zeros(shape[:2], dtype=torch.bool, device=masks.device)
-        if applied and columns is not None:
-            selected = random_numbers(columns.values, shape[1]) < self.select_p
+        donors = torch.arange(shape[0], device=masks.device)
+        if applied and columns is not None and shape[0]:
+            donors = _other_samples(columns.values[:, 2])
+            selected = random_numbers(columns.values[:, :2], shape[1]) < self.select_p
             if columns.chosen is not None:
                 selected = selected & (columns.chosen[:, None] > 0.5)
         inside = masks != 0
-        theirs = inside.roll(1, 0)
+        theirs = inside[donors]
         selected = selected & theirs.flatten(2).any(2)
         pasted = (theirs & selected[..., None, None]).any(1, keepdim=True)
         visible = inside & ~pasted
@@ -124,7 +133,8 @@ class RandomCopyPaste(MaskMixBase):
             else torch.zeros(*shape[:2], 4, device=masks.device)
         )
         execution.params = {
-            "selected": selected,  # of the donor
+            "donors": donors,
+            "selected": selected,  # of the donor's instances
             "pasted": pasted,
             "kept": is_left | (before == 0),  # of those of the image; what has no pixels stays
             "is_cut": after < before,
@@ -138,15 +148,18 @@ class RandomCopyPaste(MaskMixBase):
 
     def _pasted(self, key: DataKey, x: Tensor, execution: Execution) -> Tensor:
         assert execution.params is not None
-        selected, pasted, kept, is_cut, boxes = (
-            execution.params[name].to(x.device) for name in ("selected", "pasted", "kept", "is_cut", "boxes")
+        indices, selected, pasted, kept, is_cut, boxes = (
+            execution.params[name].to(x.device) for name in ("donors", "selected", "pasted", "kept", "is_cut", "boxes")
         )
-        donors = x.roll(1, 0)
         if key == DataKey.INPUT:
-            self._check_shape(key, x, (pasted.shape[0], x.shape[1] if x.dim() > 1 else 0, *pasted.shape[2:]))
+            shape = pasted.shape[0], x.shape[1] if x.dim() > 1 else 0, *pasted.shape[2:]
+        else:
+            shape = *selected.shape, *(pasted.shape[2:] if key == DataKey.MASK else x.shape[2:])
+        self._check_shape(key, x, shape)
+        donors = x[indices]
+        if key == DataKey.INPUT:
             return self._blended(x, donors, pasted)
         axes = (..., *[None] * (x.dim() - 2))
-        self._check_shape(key, x, (*selected.shape, *(pasted.shape[2:] if key == DataKey.MASK else x.shape[2:])))
         if key == DataKey.MASK:
             own = torch.where(kept[axes] & ~pasted, x, 0)
             return torch.cat([own, torch.where(selected[axes], donors, 0)], 1)

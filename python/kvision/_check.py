@@ -7,6 +7,7 @@ shapes cost as much as the call of a kernel.
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterable, Sequence
 from numbers import Integral, Real
 from typing import Any, get_args
@@ -49,6 +50,8 @@ def described(x: Any) -> str:
         return f"a {kind} of {len(x)} images; stack them, as kvision.to_tensor does"
     if is_pil(x):
         return f"{kind}; kvision.to_tensor converts PIL images"
+    if isinstance(x, os.PathLike) or (isinstance(x, str) and os.path.splitext(x)[1]):
+        return f"{kind}; kvision.to_tensor reads files"
     return f"{kind}; kvision.to_tensor converts images, torch.from_numpy other arrays" if is_array(x) else kind
 
 

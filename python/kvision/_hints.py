@@ -1,4 +1,4 @@
-"""Hints at arguments that are valid, and hardly what was meant. KVISION_HINTS=0 in the environment turns them off."""
+"""Hints at what works, and is hardly what was meant. KVISION_HINTS=0 in the environment turns them off."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import sys
 import warnings
 from collections.abc import Iterator
 from contextvars import ContextVar
+from importlib import metadata
 from pathlib import Path
 
 import torch
@@ -62,12 +63,41 @@ def look_at_range(image: Tensor) -> None:
     if not 2 < (largest := image.detach().amax().item()) <= 255:
         return
     _Hints.are_on = False
-    level, frame = 2, sys._getframe(1)
-    while frame.f_back is not None and frame.f_code.co_filename.startswith(_PACKAGES):
-        level, frame = level + 1, frame.f_back
-    warnings.warn(
+    _warn(
         f"kvision: expected floating-point images in [0, 1], which values are clamped to, got values up to {largest:g}: divide by "
         "255, or pass uint8",
         RangeWarning,
-        stacklevel=level,
     )
+
+
+def look_at_opencv() -> None:
+    """Warn if several distributions of OpenCV are installed. To be called when it is first used."""
+    if os.environ.get("KVISION_HINTS") != "0" and (advice := advice_on_opencv()):
+        _warn(f"kvision: {advice}", UserWarning)
+
+
+def advice_on_opencv() -> str:
+    """What to do about several distributions of OpenCV; nothing where there is one."""
+    found = opencvs()
+    if len(found) < 2:
+        return ""
+    return f"{' and '.join(found)} overwrite one another's files: uninstall all of them and install one."
+
+
+def opencvs() -> list[str]:
+    """The distributions of OpenCV that are installed: all write the one folder cv2."""
+    found = []
+    for name in ("opencv-python", "opencv-python-headless", "opencv-contrib-python", "opencv-contrib-python-headless"):
+        try:
+            found.append(f"{name} {metadata.version(name)}")
+        except metadata.PackageNotFoundError:
+            pass
+    return found
+
+
+def _warn(text: str, category: type[Warning]) -> None:
+    """Warn at the line of the user's that led here."""
+    level, frame = 1, sys._getframe()
+    while frame.f_back is not None and frame.f_code.co_filename.startswith(_PACKAGES):
+        level, frame = level + 1, frame.f_back
+    warnings.warn(text, category, stacklevel=level)

@@ -14,12 +14,11 @@ import textwrap
 import time
 import types
 from collections.abc import Iterator
-from importlib import metadata
 from pathlib import Path
 
 import torch
 
-from kvision import _backend, _ops
+from kvision import _backend, _hints, _ops
 from kvision._version import __version__
 
 try:
@@ -58,18 +57,7 @@ def _wrapped(line: str) -> str:
 def _versions() -> Iterator[str]:
     yield f"kvision {__version__}  ({_PACKAGE})"
     yield f"torch {torch.__version__}, Python {platform.python_version()}, {platform.machine()}"
-    yield ", ".join(_opencvs()) or "no OpenCV"
-
-
-def _opencvs() -> list[str]:
-    """The distributions of OpenCV that are installed: all write the one folder cv2."""
-    found = []
-    for name in ("opencv-python", "opencv-python-headless", "opencv-contrib-python", "opencv-contrib-python-headless"):
-        try:
-            found.append(f"{name} {metadata.version(name)}")
-        except metadata.PackageNotFoundError:
-            pass
-    return found
+    yield ", ".join(_hints.opencvs()) or "no OpenCV"
 
 
 def _libraries() -> Iterator[str]:
@@ -226,8 +214,8 @@ def _next_steps() -> Iterator[str]:
             steps.append("to use the GPU, put nvcc (CUDA >= 12) on the PATH and install kvision again.")
     elif any("NO KERNELS" in line for line in _gpus()):
         steps.append("install kvision again on this machine, or with CUDAARCHS set to the GPU's architecture.")
-    if len(opencvs := _opencvs()) > 1:
-        steps.append(f"{' and '.join(opencvs)} overwrite one another's files: uninstall all of them and install one.")
+    if advice := _hints.advice_on_opencv():
+        steps.append(advice)
     yield "What to do"
     yield from (f"  {step}" for step in steps or ["nothing: every kernel this machine can use is in use."])
 

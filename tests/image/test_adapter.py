@@ -148,6 +148,13 @@ def test_pil_keeps_the_values_of_masks() -> None:
         (lambda: K.filters.sobel(torch.rand(5, 7, 4)), ValueError, r"got \(5, 7, 4\); permute\(2, 0, 1\) puts channels"),
         (lambda: K.color.rgb_to_hsv(torch.rand(2, 4, 5, 3)), ValueError, r"got \(2, 4, 5, 3\)$"),
         (lambda: K.augmentation.RandomPlanckianJitter(p=1.0)(torch.rand(1, 5, 7, 3)), ValueError, r"; permute\(0, 3, 1, 2\)"),
+        (lambda: K.normalize(torch.rand(1, 5, 7, 3), torch.zeros(3), torch.ones(3)), ValueError, r"; permute\(0, 3, 1, 2\)"),
+        (lambda: K.filters.in_range(torch.rand(1, 5, 7, 3), (0, 0, 0), (1, 1, 1)), ValueError, r"; permute\(0, 3, 1, 2\)"),
+        (lambda: K.io.write_image("x.png", torch.rand(5, 7, 3)), ValueError, r"; permute\(2, 0, 1\) puts channels first"),
+        (lambda: K.to_pil(torch.rand(5, 7, 3)), ValueError, r"got 5; permute\(2, 0, 1\) puts channels first"),
+        (lambda: K.filters.sobel("photo.jpg"), TypeError, "sobel: .* got str; kvision.to_tensor reads files"),
+        (lambda: K.filters.sobel(Path("photo")), TypeError, "sobel: .* got Posix.*; kvision.to_tensor reads files"),
+        (lambda: K.filters.sobel("reflect"), TypeError, "sobel: .* got str$"),
         (lambda: K.filters.sobel([FIRST]), TypeError, "sobel: .* got a list of 1 images; stack them, as kvision.to_tensor"),
     ],
 )  # fmt: skip

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import subprocess
 import sys
+from importlib import metadata
 
 import cv2
 import kornia
@@ -16,9 +17,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import kvision as K
+from kvision import _hints
 from kvision.core.exceptions import BaseError, ImageError, TypeCheckError
 from kvision.io import ImageLoadType
 from kvision.io._exif import orientation_of
+from kvision.io._opencv import opencv
 
 TYPES = {
     ImageLoadType.GRAY8: (1, torch.uint8),
@@ -308,6 +311,26 @@ def test_opencv_is_imported_when_needed():
     )
     done = subprocess.run([sys.executable, "-c", code, __file__], capture_output=True, text=True, check=True)
     assert "pip install opencv-python-headless" in done.stdout
+
+
+def test_the_first_use_names_several_flavors_of_opencv(monkeypatch, tmp_path):
+    versions = {"opencv-python": "4.12.0.88", "opencv-python-headless": "5.0.0.93"}
+
+    def version(name):
+        if name not in versions:
+            raise metadata.PackageNotFoundError(name)
+        return versions[name]
+
+    monkeypatch.setattr(metadata, "version", version)
+    named = "opencv-python 4.12.0.88 and opencv-python-headless 5.0.0.93 overwrite one another's files"
+    opencv.cache_clear()
+    with pytest.warns(UserWarning, match=named) as found:
+        K.io.write_image(tmp_path / "a.png", torch.zeros(3, 4, 4))
+        K.io.load_image(tmp_path / "a.png")
+    assert [warning.filename for warning in found] == [__file__]
+    assert any(named in step for step in K.info._next_steps())
+    del versions["opencv-python"]
+    assert not _hints.advice_on_opencv()
 
 
 def test_sample_images(monkeypatch, tmp_path):

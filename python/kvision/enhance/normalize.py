@@ -163,7 +163,7 @@ def _statistic(op: str, name: str, value: float | Tensor, data: Tensor) -> float
     if len(sizes) > data.dim() or any(n not in (1, m) for n, m in zip(sizes, data.shape)):
         raise ShapeError(
             f"{op}: expected {name} to be a number, (C,) or (B, C) for data of shape (B, C, *), got {tuple(value.shape)} "
-            f"for {tuple(data.shape)}",
+            f"for {tuple(data.shape)}{_check.channels_advice(data.shape)}",
             actual_shape=value.shape,
         )
     if math.prod(sizes[2:]) == 1:

@@ -74,6 +74,7 @@ def _between_numbers(channels: Tensor, lower: tuple[float, ...], upper: tuple[fl
     if len(lower) != count or len(upper) != count:
         raise ValueCheckError(
             f"in_range: expected lower and upper of {count} numbers, one a channel, got {len(lower)} and {len(upper)}"
+            f"{_check.channels_advice(channels.shape)}"
         )
     lower, upper = _check.scalars("in_range", "lower", lower), _check.scalars("in_range", "upper", upper)
     if not all(isinstance(bound, (int, float)) for bound in (*lower, *upper)):

@@ -208,7 +208,8 @@ def _pil(x: Tensor) -> Any:
     import PIL.Image
 
     if not 1 <= len(x) <= 4:
-        raise ShapeError(f"to_pil: expected images of 1 to 4 channels, got {len(x)}", actual_shape=x.shape)
+        advice = _check.channels_advice(x.shape)
+        raise ShapeError(f"to_pil: expected images of 1 to 4 channels, got {len(x)}{advice}", actual_shape=x.shape)
     x = x.detach().cpu()
     keeps = len(x) == 1 and not x.is_floating_point()
     if not keeps:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import tempfile
 from types import ModuleType
 from typing import Any
@@ -10,11 +11,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from kvision._hints import look_at_opencv
 from kvision.core.exceptions import ImageError
 from kvision.io._exif import orientation_of, upright
 
 
+@functools.cache
 def opencv() -> ModuleType:
+    """The module cv2; a hint comes with it where several distributions have written its files."""
     try:
         import cv2
     except ImportError as error:
@@ -25,6 +29,7 @@ def opencv() -> ModuleType:
         raise ImportError(
             f"kvision.io needs OpenCV 4.12 or newer, found {cv2.__version__}: pip install -U opencv-python-headless"
         )
+    look_at_opencv()
     return cv2
 
 

@@ -81,7 +81,7 @@ def encoded(path_file: str | os.PathLike[str], image: Tensor, quality: int = 80)
     if planes.dim() != 3 or 0 in planes.shape or len(planes) not in channels:
         raise ShapeError(
             f"write_image: expected image of shape (C, H, W) with C of {' or '.join(map(str, channels))} for {suffix}, "
-            f"got {tuple(image.shape)}",
+            f"got {tuple(image.shape)}{_check.channels_advice(image.shape)}",
             actual_shape=image.shape,
         )
     if planes.is_floating_point():

@@ -5,6 +5,9 @@ Wrong arguments are marked: a checker that no longer finds one reports the mark.
 
 from __future__ import annotations
 
+import inspect
+from typing import Any, get_type_hints
+
 import pytest
 import torch
 from torch import Tensor
@@ -46,3 +49,18 @@ def test_wrong_arguments_are_found_before_they_run() -> None:
         K.augmentation.RandomRotation(9.0, resample="cubic")  # type: ignore[arg-type]  # pyright: ignore[reportArgumentType]
     with pytest.raises(TypeError):
         K.augmentation.RandomGamma(gamma="dark")  # type: ignore[arg-type]  # pyright: ignore[reportArgumentType]
+
+
+def test_editors_complete_the_arguments_of_augmentations() -> None:
+    classes = [value for name in dir(K.augmentation) if inspect.isclass(value := getattr(K.augmentation, name))]
+    loose = set()
+    for cls in classes:
+        if not issubclass(cls, torch.nn.Module):
+            continue
+        types = get_type_hints(cls.__init__)
+        for name, parameter in inspect.signature(cls.__init__).parameters.items():
+            is_variadic = parameter.kind in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD)
+            if not is_variadic and types.get(name) in (Any, str):
+                loose.add(f"{cls.__name__}.{name}")
+    kornias = "ImageSequential.if_unsupported_ops", "VideoSequential.if_unsupported_ops", "RandomMosaic.padding_mode"
+    assert loose == {*kornias}  # are taken, and change nothing

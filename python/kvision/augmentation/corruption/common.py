@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple, TypeAlias, get_args
 
 import torch
 from torch import Tensor
@@ -238,7 +238,12 @@ _UNIFORM, _NORMAL, _PLANE = NoiseMap(), NoiseMap(True), (1, None, None)
 # The parameters of ImageNet-C: D. Hendrycks and T. Dietterich, Benchmarking neural network robustness to common corruptions and
 # perturbations, ICLR 2019, as in the package imagecorruptions 1.1.2 for images of any size. The first 15 are the benchmark, the
 # others its validation set.
-CORRUPTIONS: dict[str, Corruption] = {
+CorruptionName: TypeAlias = Literal[
+    "gaussian_noise", "shot_noise", "impulse_noise", "defocus_blur", "glass_blur", "motion_blur", "zoom_blur", "snow",
+    "frost", "fog", "brightness", "contrast", "elastic_transform", "pixelate", "jpeg_compression",
+    "speckle_noise", "gaussian_blur", "spatter", "saturate",
+]  # fmt: skip
+CORRUPTIONS: dict[CorruptionName, Corruption] = {
     "gaussian_noise": Corruption(_gaussian_noise, _each(0.08, 0.12, 0.18, 0.26, 0.38), _NORMAL, fused=_normal_terms),
     "shot_noise": Corruption(_shot_noise, _each(60, 25, 12, 5, 3), _UNIFORM, fused=_photons),
     "impulse_noise": Corruption(_impulse_noise, _each(0.03, 0.06, 0.09, 0.17, 0.27), fused=_impulses),
@@ -320,13 +325,13 @@ class CommonCorruption(IntensityAugmentationBase2D, keeps_contract=True):
                   [0.4500, 0.5500]]]])
     """
 
-    NAMES: ClassVar[tuple[str, ...]] = tuple(CORRUPTIONS)
+    NAMES: ClassVar[tuple[CorruptionName, ...]] = get_args(CorruptionName)
 
     texture: Tensor | None
 
     def __init__(
         self,
-        name: str,
+        name: CorruptionName,
         severity: int = 1,
         texture: Tensor | None = None,
         same_on_batch: bool = False,

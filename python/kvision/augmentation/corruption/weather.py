@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Literal, TypeAlias, get_args
 
 import torch
@@ -19,6 +20,7 @@ from kvision.augmentation.engine import Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
 from kvision.augmentation.random_generator.mapped import MappedGenerator, NoiseMap
 from kvision.augmentation.random_generator.plasma import PlasmaGenerator
+from kvision.augmentation.ranges import Numbers
 from kvision.augmentation.warp_and_color import Resampling
 from kvision.core.exceptions import ShapeError, TypeCheckError
 from kvision.enhance.equalize import equalize
@@ -63,8 +65,8 @@ class RandomFog(IntensityAugmentationBase2D, keeps_contract=True):
 
     def __init__(
         self,
-        intensity: Any = (1.5, 3.0),
-        roughness: Any = (0.25, 0.5),
+        intensity: Numbers = (1.5, 3.0),
+        roughness: Numbers = (0.25, 0.5),
         same_on_batch: bool = False,
         p: float = 0.5,
         keepdim: bool = False,
@@ -154,8 +156,8 @@ class RandomFrost(IntensityAugmentationBase2D, keeps_contract=True):
     def __init__(
         self,
         texture: Tensor,
-        image_weight_range: Any = (0.6, 1.0),
-        frost_weight_range: Any = (0.4, 0.75),
+        image_weight_range: Numbers = (0.6, 1.0),
+        frost_weight_range: Numbers = (0.4, 0.75),
         same_on_batch: bool = False,
         p: float = 0.5,
         keepdim: bool = False,
@@ -210,13 +212,13 @@ class Spatter(IntensityAugmentationBase2D, keeps_contract=True):
 
     def __init__(
         self,
-        mean_range: Any = (0.65, 0.65),
-        std_range: Any = (0.3, 0.3),
-        gauss_sigma_range: Any = (2.0, 2.0),
-        cutout_threshold_range: Any = (0.68, 0.68),
-        intensity_range: Any = (0.6, 0.6),
+        mean_range: Numbers = (0.65, 0.65),
+        std_range: Numbers = (0.3, 0.3),
+        gauss_sigma_range: Numbers = (2.0, 2.0),
+        cutout_threshold_range: Numbers = (0.68, 0.68),
+        intensity_range: Numbers = (0.6, 0.6),
         mode: SpatterMode = "rain",
-        color: Any = None,
+        color: Sequence[float] | None = None,
         same_on_batch: bool = False,
         p: float = 0.5,
         keepdim: bool = False,

@@ -10,7 +10,7 @@ from torch import Tensor
 from kvision import _check
 from kvision.augmentation.crops.window_crop import WindowCrop
 from kvision.augmentation.random_generator.windows import WindowGenerator, clipped_boxes, pick, up_to
-from kvision.constants import Resample
+from kvision.constants import AnyResample, Resample
 from kvision.core.exceptions import ValueCheckError
 
 __all__ = ["AtLeastOneBBoxRandomCrop", "RandomCropNearBBox", "RandomSizedBBoxSafeCrop"]
@@ -97,7 +97,7 @@ class RandomSizedBBoxSafeCrop(WindowCrop):
         height: int,
         width: int,
         erosion_rate: float = 0.0,
-        resample: str | int | Resample = Resample.BILINEAR.name,
+        resample: AnyResample = Resample.BILINEAR.name,
         same_on_batch: bool = False,
         align_corners: bool = False,
         antialias: bool = True,
@@ -242,7 +242,7 @@ class RandomCropNearBBox(WindowCrop):
         self,
         max_part_shift: tuple[float, float] = (0.0, 0.3),
         size: int | tuple[int, int] | None = None,
-        resample: str | int | Resample = Resample.BILINEAR.name,
+        resample: AnyResample = Resample.BILINEAR.name,
         same_on_batch: bool = False,
         align_corners: bool = False,
         antialias: bool = True,

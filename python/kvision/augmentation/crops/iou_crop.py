@@ -12,7 +12,7 @@ from kvision import _check
 from kvision._constants import constant
 from kvision.augmentation.crops.window_crop import WindowCrop
 from kvision.augmentation.random_generator.windows import WindowGenerator, clipped_boxes
-from kvision.constants import Resample
+from kvision.constants import AnyResample, Resample
 from kvision.core.exceptions import ValueCheckError
 
 __all__ = ["RandomIoUCrop"]
@@ -119,7 +119,7 @@ class RandomIoUCrop(WindowCrop):
         sampler_options: Sequence[float] | None = None,
         trials: int = 40,
         size: int | tuple[int, int] | None = None,
-        resample: str | int | Resample = Resample.BILINEAR.name,
+        resample: AnyResample = Resample.BILINEAR.name,
         same_on_batch: bool = False,
         align_corners: bool = False,
         antialias: bool = True,

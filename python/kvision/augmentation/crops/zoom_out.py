@@ -13,9 +13,10 @@ from kvision.augmentation.crops.window_crop import WindowCrop
 from kvision.augmentation.engine import Shape
 from kvision.augmentation.geometric_base import AntialiasedByMatrix
 from kvision.augmentation.random_generator.windows import WindowGenerator
+from kvision.augmentation.ranges import Numbers
 from kvision.augmentation.transforms import Transform
 from kvision.augmentation.warp_and_color import Resampling
-from kvision.constants import Resample
+from kvision.constants import AnyResample, Resample
 from kvision.core.exceptions import ValueCheckError
 
 __all__ = ["RandomZoomOut"]
@@ -66,11 +67,11 @@ class RandomZoomOut(AntialiasedByMatrix, WindowCrop):
 
     def __init__(
         self,
-        fill: Any = 0,
+        fill: Numbers = 0,
         side_range: tuple[float, float] = (1.0, 4.0),
         p: float = 0.5,
         size: int | tuple[int, int] | None = None,
-        resample: str | int | Resample = Resample.BILINEAR.name,
+        resample: AnyResample = Resample.BILINEAR.name,
         same_on_batch: bool = False,
         align_corners: bool = False,
         antialias: bool = True,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal, TypeAlias, get_args
 
 import torch
 from torch import Tensor
@@ -14,9 +14,12 @@ from kvision.augmentation.distortion.lenses import lens_displacements
 from kvision.augmentation.engine import Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
 from kvision.augmentation.random_generator.mapped import MappedGenerator
+from kvision.augmentation.ranges import Numbers
 from kvision.augmentation.warp_and_color import Resampling
-from kvision.constants import Resample
+from kvision.constants import AnyResample, Resample
 from kvision.core.exceptions import ShapeError
+
+ChromaticMode: TypeAlias = Literal["green_purple", "red_blue", "random"]
 
 
 class ChromaticAberration(IntensityAugmentationBase2D, keeps_contract=True):
@@ -47,17 +50,17 @@ class ChromaticAberration(IntensityAugmentationBase2D, keeps_contract=True):
 
     def __init__(
         self,
-        primary_distortion_range: Any = (-0.02, 0.02),
-        secondary_distortion_range: Any = (-0.05, 0.05),
-        mode: str = "green_purple",
-        resample: str | int | Resample = Resample.BILINEAR.name,
+        primary_distortion_range: Numbers = (-0.02, 0.02),
+        secondary_distortion_range: Numbers = (-0.05, 0.05),
+        mode: ChromaticMode = "green_purple",
+        resample: AnyResample = Resample.BILINEAR.name,
         same_on_batch: bool = False,
         p: float = 0.5,
         keepdim: bool = False,
         **options: Any,
     ) -> None:
         super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
-        _check.choice("ChromaticAberration", "mode", mode, ("green_purple", "red_blue", "random"))
+        _check.choice("ChromaticAberration", "mode", mode, get_args(ChromaticMode))
         self.mode = mode
         self.flags = {"resample": Resample.get(resample)}
         primary, secondary = primary_distortion_range, secondary_distortion_range

@@ -9,13 +9,13 @@ from torch import Tensor
 
 from kvision.augmentation.elastic import MapAugmentation
 from kvision.augmentation.engine import Params
-from kvision.constants import Resample, SamplePadding
+from kvision.constants import AnyResample, AnySamplePadding, Resample, SamplePadding
 
 
 class DistortionBase(MapAugmentation, keeps_contract=True):
     """Base of maps whose images are read with an interpolation and a padding of the user."""
 
-    def __init__(self, resample: str | int | Resample, padding_mode: str | int | SamplePadding, **options: Any) -> None:
+    def __init__(self, resample: AnyResample, padding_mode: AnySamplePadding, **options: Any) -> None:
         super().__init__(**options)
         self.flags = {
             "resample": Resample.get(resample),

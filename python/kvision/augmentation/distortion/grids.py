@@ -12,7 +12,8 @@ from kvision.augmentation import ranges
 from kvision.augmentation.distortion.distortion_base import DistortionBase
 from kvision.augmentation.engine import Params
 from kvision.augmentation.random_generator.mapped import MappedGenerator, NoiseMap
-from kvision.constants import Resample, SamplePadding
+from kvision.augmentation.ranges import Numbers
+from kvision.constants import AnyResample, AnySamplePadding, Resample, SamplePadding
 
 
 class GridDistortion(DistortionBase, keeps_contract=True):
@@ -41,10 +42,10 @@ class GridDistortion(DistortionBase, keeps_contract=True):
     def __init__(
         self,
         num_steps: int = 5,
-        distort_range: Any = (-0.3, 0.3),
+        distort_range: Numbers = (-0.3, 0.3),
         normalized: bool = True,
-        resample: str | int | Resample = Resample.BILINEAR.name,
-        padding_mode: str | int | SamplePadding = SamplePadding.ZEROS.name,
+        resample: AnyResample = Resample.BILINEAR.name,
+        padding_mode: AnySamplePadding = SamplePadding.ZEROS.name,
         same_on_batch: bool = False,
         p: float = 0.5,
         keepdim: bool = False,
@@ -103,12 +104,12 @@ class PiecewiseAffine(DistortionBase, keeps_contract=True):
 
     def __init__(
         self,
-        scale_range: Any = (0.03, 0.05),
+        scale_range: Numbers = (0.03, 0.05),
         nb_rows_range: tuple[int, int] = (4, 4),
         nb_cols_range: tuple[int, int] = (4, 4),
         absolute_scale: bool = False,
-        resample: str | int | Resample = Resample.BILINEAR.name,
-        padding_mode: str | int | SamplePadding = SamplePadding.ZEROS.name,
+        resample: AnyResample = Resample.BILINEAR.name,
+        padding_mode: AnySamplePadding = SamplePadding.ZEROS.name,
         same_on_batch: bool = False,
         p: float = 0.5,
         keepdim: bool = False,

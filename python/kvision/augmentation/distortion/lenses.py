@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal, TypeAlias, get_args
 
 import torch
 from torch import Tensor
@@ -12,8 +12,11 @@ from kvision.augmentation import maps
 from kvision.augmentation.distortion.distortion_base import DistortionBase, from_center, per_map
 from kvision.augmentation.engine import Params
 from kvision.augmentation.random_generator.mapped import MappedGenerator
-from kvision.constants import Resample, SamplePadding
+from kvision.augmentation.ranges import Numbers
+from kvision.constants import AnyResample, AnySamplePadding, Resample, SamplePadding
 from kvision.geometry.calibration.distortion import distort_points
+
+LensMode: TypeAlias = Literal["camera", "fisheye"]
 
 
 def lens_displacements(coefficients: Tensor, height: int, width: int) -> Tensor:
@@ -54,17 +57,17 @@ class OpticalDistortion(DistortionBase, keeps_contract=True):
 
     def __init__(
         self,
-        distort_range: Any = (-0.05, 0.05),
-        mode: str = "camera",
-        resample: str | int | Resample = Resample.BILINEAR.name,
-        padding_mode: str | int | SamplePadding = SamplePadding.ZEROS.name,
+        distort_range: Numbers = (-0.05, 0.05),
+        mode: LensMode = "camera",
+        resample: AnyResample = Resample.BILINEAR.name,
+        padding_mode: AnySamplePadding = SamplePadding.ZEROS.name,
         same_on_batch: bool = False,
         p: float = 0.5,
         keepdim: bool = False,
         **options: Any,
     ) -> None:
         super().__init__(resample, padding_mode, same_on_batch=same_on_batch, p=p, keepdim=keepdim, **options)
-        _check.choice("OpticalDistortion", "mode", mode, ("camera", "fisheye"))
+        _check.choice("OpticalDistortion", "mode", mode, get_args(LensMode))
         self.mode = mode
         self._param_generator = MappedGenerator((distort_range, "distort", None, None), op="OpticalDistortion")
 

@@ -11,7 +11,8 @@ from torch import Tensor
 from kvision.augmentation.distortion.distortion_base import DistortionBase, per_map
 from kvision.augmentation.engine import Params
 from kvision.augmentation.random_generator.mapped import MappedGenerator
-from kvision.constants import Resample, SamplePadding
+from kvision.augmentation.ranges import Numbers
+from kvision.constants import AnyResample, AnySamplePadding, Resample, SamplePadding
 
 
 class Swirl(DistortionBase, keeps_contract=True):
@@ -42,11 +43,11 @@ class Swirl(DistortionBase, keeps_contract=True):
 
     def __init__(
         self,
-        strength_range: Any = (-2.0, 2.0),
-        radius_range: Any = (0.5, 1.0),
-        center_range: Any = (0.4, 0.6),
-        resample: str | int | Resample = Resample.BILINEAR.name,
-        padding_mode: str | int | SamplePadding = SamplePadding.ZEROS.name,
+        strength_range: Numbers = (-2.0, 2.0),
+        radius_range: Numbers = (0.5, 1.0),
+        center_range: Numbers = (0.4, 0.6),
+        resample: AnyResample = Resample.BILINEAR.name,
+        padding_mode: AnySamplePadding = SamplePadding.ZEROS.name,
         same_on_batch: bool = False,
         p: float = 0.5,
         keepdim: bool = False,

@@ -386,6 +386,8 @@ def _draws(augment: nn.Module) -> list[Tensor]:
         return [drawing.framed(_cells(image)[0], 3), *_cells([x[0] for x in augment(image)], like=image)]
     if isinstance(augment, (A.Normalize, A.Denormalize, A.LongestMaxSize, A.SmallestMaxSize)):
         return [drawing.framed(_cells(image)[0], 3), *_cells(augment(image), like=image)]
+    if isinstance(augment, A.RandomAutoContrast):
+        image = 0.3 + 0.4 * image  # the photograph has all contrast
     if isinstance(augment, A.IntensityAugmentationBase2D):
         before, *draws = draw_samples(augment, (image,), ["image"], DRAWS, SIZE, seed=3)
     else:

@@ -362,7 +362,8 @@ def strip(name: str, call: str) -> bytes:
             first = expression.args[0]
             inputs = eval(ast.unparse(first.value if isinstance(first, ast.Starred) else first), namespace)
             splits = name.startswith("color.")
-            cells = [drawing.framed(cell, 3) for cell in _cells(inputs, splits)[:1]] + _cells(value, splits, inputs)
+            cells = [drawing.framed(cell, 3) for cell in _cells(inputs, splits)[:1]]
+            cells += _cells(value, splits and not name.endswith("to_rgb"), inputs)
     sheet = drawing.sheet_of(cells[:MOST], MOST, 4)
     pixels = (255 * sheet.clamp(0, 1)).round().byte().permute(1, 2, 0).numpy()
     done, data = cv2.imencode(".jpg", np.ascontiguousarray(pixels[..., ::-1]), (cv2.IMWRITE_JPEG_QUALITY, QUALITY))

@@ -16,7 +16,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from op_tests import assert_close
+from op_tests import assert_close, named
 
 
 class Case(NamedTuple):
@@ -126,16 +126,14 @@ class CompositionTests:
         assert versions == [v._version for v in values]
         assert all(torch.equal(a, b) for a, b in zip(values, before))
 
-    @pytest.mark.parametrize("layout", ["channels_last", "strided"])
-    def test_layouts(self, case, layout, device):
+    def test_layouts(self, case, device):
         values = self.values(case, device)
         expected = case.call(*values)
-        for i, v in enumerate(values):
-            if layout == "strided":
-                values[i] = v.repeat_interleave(2, -1)[..., ::2]
-            elif v.dim() == 4:
-                values[i] = v.contiguous(memory_format=torch.channels_last)
-        assert_close(case.call(*values), expected)
+        strided = [v.repeat_interleave(2, -1)[..., ::2] for v in values]
+        last = [v.contiguous(memory_format=torch.channels_last) if v.dim() == 4 else v for v in values]
+        for name, some in (("strided", strided), ("channels_last", last)):
+            with named(name):
+                assert_close(case.call(*some), expected)
 
     @pytest.mark.interface
     @pytest.mark.gpu

@@ -37,10 +37,10 @@ class ConversionTests(OpTests):
             x = (0.05 + 0.9 * x) * scale + shift
         return x.to(dtype).to(device)
 
-    def test_value_of_bytes(self, variant, device):
+    def test_value_of_bytes(self, variant, device, backend):
         """test_codes.py has those of conversions between RGB and other spaces."""
         if self.bytes or self.function.__name__ in ("rgb_to_grayscale", "bgr_to_grayscale"):
-            super().test_value_of_bytes(variant, device)
+            super().test_value_of_bytes(variant, device, backend)
 
     def test_wrong_kinds(self, variant, device):
         """Of colors any number of leading axes is right, and no pixels are, too."""

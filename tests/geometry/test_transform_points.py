@@ -74,6 +74,7 @@ class TestUnproject(PointMaps):
 class TestMeet(PointMaps):
     channels = 2
     shape, small = (2, 2, 7, 9), (2, 2, 1, 3)
+    empty = ()  # planes and cameras are no parameters of a whole batch
     camera = staticmethod(lambda x: torch.tensor([[[0.9, 0, 0.4], [0, 1.1, 0.3], [0, 0, 1]]]).double())
     variants = [
         {

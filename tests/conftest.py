@@ -11,9 +11,14 @@ from collections.abc import Iterator
 from pathlib import Path
 
 # Tests run in parallel, each with one thread: more threads would spend half of the time in waits for one another. Tests
-# that depend on the number of threads set it. The variable is set before torch is imported, also for child processes.
+# that depend on the number of threads set it; theirs sleep while they wait, where others need the core: spinning would take five
+# times as long as the calls. The variables are set before torch is imported, also for child processes.
 if "PYTEST_XDIST_WORKER" in os.environ:
     os.environ["OMP_NUM_THREADS"] = "1"
+os.environ["OMP_WAIT_POLICY"] = "passive"
+
+# A pool of compilers would import torch in each of its processes.
+os.environ["TORCHINDUCTOR_COMPILE_THREADS"] = "1"
 
 # torch keys cached graphs by operator names, so it would reuse graphs from before a schema or gradient changed.
 os.environ["TORCHINDUCTOR_FX_GRAPH_CACHE"] = os.environ["TORCHINDUCTOR_AUTOGRAD_CACHE"] = "0"
@@ -67,8 +72,13 @@ def sizes(request: pytest.FixtureRequest) -> str:
 
 
 @pytest.fixture(autouse=True)
-def seed() -> None:
-    torch.manual_seed(0)
+def seed(device: torch.device) -> None:
+    if (
+        device.type == "cpu"
+    ):  # torch.manual_seed would save the stack for each kind of GPU, which takes a sixth of a short test
+        torch.default_generator.manual_seed(0)
+    else:
+        torch.manual_seed(0)
 
 
 @pytest.fixture(scope="session")
@@ -123,8 +133,10 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     with one of them when the others are done.
     """
     here = Path(__file__).parent
+    paths = {item.path for item in items}
+    folders = {path: path.relative_to(here).parts[0] if path.is_relative_to(here) else None for path in paths}
     for item in items:
-        folder = item.path.relative_to(here).parts[0] if item.path.is_relative_to(here) else None
+        folder = folders[item.path]
         if folder is None or folder in OPERATORS or folder == item.path.name:
             item.add_marker(pytest.mark.operators)
         if folder is None:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import re
-import subprocess
-import sys
 import time
 from pathlib import Path
 
 import pytest
 import torch
 
+import fresh
 import kvision as K
 
 pytest.importorskip("cv2")
@@ -116,9 +115,7 @@ sys.modules[{package!r}] = None
 sys.argv = ["kvision.demo", "--device", "cpu", "--out", {str(tmp_path)!r}]
 runpy.run_module("kvision.demo", run_name="__main__")
 """
-    result = subprocess.run(
-        [sys.executable, "-W", "ignore", "-c", program], capture_output=True, text=True, check=False
-    )
+    result = fresh.run("import warnings; warnings.simplefilter('ignore')" + program)
     assert result.returncode == 1
     assert result.stderr == f'kvision.demo needs {name}: pip install ".[demo]"\n'
     if package == "tqdm":
@@ -126,8 +123,8 @@ runpy.run_module("kvision.demo", run_name="__main__")
         program = program.replace(
             "import runpy, sys", "import runpy, sys\nsys.modules |= dict.fromkeys(['PIL', 'cv2', 'skimage'])"
         )
-        result = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-        assert result.stdout.startswith("usage: python -m kvision.demo")
+        result = fresh.run(program)
+        assert result.returncode == 0 and result.stdout.startswith("usage: python -m kvision.demo")
 
 
 def test_an_output_folder_that_is_a_file_is_named(photos, capsys):

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-
 import pytest
 import torch
 from torch import nn
 
+import fresh
 import kvision as K
 from feature_images import photo
 from op_tests import assert_close
@@ -395,5 +393,6 @@ def test_memory_is_a_few_times_the_pyramid(opencv, device):
     pytest.importorskip("resource")
     if device.type != "cpu":
         pytest.skip("the peak is that of the process")
-    run = subprocess.run([sys.executable, "-c", PEAK.format(opencv=opencv)], capture_output=True, text=True, check=True)
-    assert float(run.stdout) < 6
+    result = fresh.run(PEAK.format(opencv=opencv))
+    assert result.returncode == 0, result.stderr
+    assert float(result.stdout) < 6

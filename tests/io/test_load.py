@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import subprocess
 import sys
 from importlib import metadata
 
@@ -16,6 +15,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
+import fresh
 import kvision as K
 from kvision import _hints
 from kvision.core.exceptions import BaseError, ImageError, TypeCheckError
@@ -309,8 +309,8 @@ def test_opencv_is_imported_when_needed():
         "try: kvision.io.load_image(sys.argv[1])\n"
         "except ImportError as error: print(error)"
     )
-    done = subprocess.run([sys.executable, "-c", code, __file__], capture_output=True, text=True, check=True)
-    assert "pip install opencv-python-headless" in done.stdout
+    done = fresh.run(code, __file__)
+    assert done.returncode == 0 and "pip install opencv-python-headless" in done.stdout, done.stderr
 
 
 def test_the_first_use_names_several_flavors_of_opencv(monkeypatch, tmp_path):

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import ast
-import os
 import pickle
 import statistics
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 import torch
 
+import fresh
 import kvision as K
 from kvision import _backend
 
@@ -23,10 +21,7 @@ MODULES = [name for name in K.__all__ if name not in K._HOMES and name not in ("
 
 def printed(program: str, **environment: str) -> str:
     """The output of a fresh process."""
-    command = [sys.executable, "-c", program]
-    result = subprocess.run(
-        command, env={**os.environ, **environment}, capture_output=True, text=True, timeout=300, check=False
-    )
+    result = fresh.run(program, **environment)
     assert result.returncode == 0, result.stderr
     return result.stdout
 

@@ -11,12 +11,12 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from functools import lru_cache, wraps
+from functools import cache, wraps
 from typing import Any
 
 from torch import Tensor, nn
 
-from test_docstrings import public_objects
+from test_docstrings import OBJECTS
 
 
 @dataclass
@@ -125,12 +125,12 @@ def recording(cls: type, method: str, calls: list[Call]) -> Callable[..., Any]:
     return wrapper
 
 
-@lru_cache
+@cache
 def example_calls(home: str) -> dict[str, list[Call]]:
     """The recorded calls of the public objects that a file of kvision defines, by their names. Running the examples of
     all files takes a quarter of a minute, so tests ask for one when they run, not when they are collected."""
     result = {}
-    for name, value in public_objects().items():
+    for name, value in OBJECTS.items():
         if home_of(name) != home:
             continue
         calls: list[Call] = []
@@ -147,4 +147,4 @@ def home_of(name: str) -> str:
     return name.rpartition(".")[0]
 
 
-HOMES = sorted(set(map(home_of, public_objects())))
+HOMES = sorted(set(map(home_of, OBJECTS)))

@@ -29,7 +29,7 @@ from benchmarks.sample_calls import SampleCall, Size, sample_calls, sample_modul
 from example_calls import HOMES, Call, copied, example_calls
 from kvision.core.exceptions import DeviceError, TypeCheckError
 from op_tests import THOROUGH
-from test_docstrings import public_objects
+from test_docstrings import OBJECTS
 
 pytestmark = pytest.mark.interface
 
@@ -38,6 +38,9 @@ def tenth_of(names: Iterable[str]) -> list[str]:
     every = list(names)
     return every if THOROUGH else random.Random(0).sample(every, len(every) // 10)
 
+
+# All tests of a file follow each other: running its examples is most of their time.
+homes = pytest.mark.parametrize("home", HOMES, scope="module")
 
 # --- what is no tensor ------------------------------------------------------------------------------------------------
 
@@ -128,7 +131,7 @@ def check_choices(home: str) -> None:
                 )
 
 
-@pytest.mark.parametrize("home", HOMES)
+@homes
 def test_other_types_are_named(home):
     check_choices(home)  # here, as the examples of a file take time
     for call, key, is_first in tensors(home):
@@ -144,7 +147,7 @@ def test_other_types_are_named(home):
 
 def test_nearly_all_public_names_have_examples():
     """All but base classes, features that want weights, and the function that replaces those of Kornia."""
-    examples = {name: doctest.DocTestFinder(recurse=False).find(x, name) for name, x in public_objects().items()}
+    examples = {name: doctest.DocTestFinder(recurse=False).find(x, name) for name, x in OBJECTS.items()}
     without = [name for name, actual in examples.items() if not any(example.examples for example in actual)]
     assert len(without) < 0.05 * len(examples), without
 
@@ -513,7 +516,7 @@ def numeric_arguments(home: str) -> Iterator[tuple[Call, str | int, Any]]:
                     yield call, key, value
 
 
-@pytest.mark.parametrize("home", HOMES)
+@homes
 def test_scalars_of_numpy_and_torch_are_numbers(home):
     def result(call: Call, key: str | int, x: Any) -> Any:
         torch.manual_seed(0)
@@ -590,7 +593,7 @@ def elsewhere(device: torch.device) -> torch.device:
     return device if device.type != "cpu" else torch.device("meta")
 
 
-@pytest.mark.parametrize("home", HOMES)
+@homes
 def test_parameters_follow_the_images_and_data_does_not(home, elsewhere):
     for call, name in tensor_parameters(home):
         function = call.function.to(elsewhere) if isinstance(call.function, nn.Module) else call.function

@@ -17,6 +17,7 @@ import kvision
 from benchmarks.sample_calls.windows import WINDOWS
 from kvision import contrib, enhance, geometry, losses, metrics
 from kvision.geometry import transform
+from op_tests import named, pairwise
 
 pytestmark = [pytest.mark.native, pytest.mark.large]
 
@@ -61,9 +62,7 @@ def value_and_gradient(call: Callable[[Tensor], Tensor], x: Tensor, grad: Tensor
     return y.detach(), torch.autograd.grad(y, x, grad[:, : y.shape[1]].to(y.dtype))[0]
 
 
-@pytest.mark.parametrize("shape", SHAPES, ids=str)
-@pytest.mark.parametrize("dtype", DTYPES, ids=str)
-@pytest.mark.parametrize("window", POINTWISE, ids=str)
+@pytest.mark.parametrize(("window", "dtype", "shape"), pairwise(POINTWISE, DTYPES, SHAPES), ids=str)
 def test_pointwise_functions_give_the_bits_of_aligned_images(window, dtype, shape, device):
     batch, channels, height, width = shape
     aligned_shape = (batch, channels, height, -(-width // 16) * 16)
@@ -78,78 +77,83 @@ def test_pointwise_functions_give_the_bits_of_aligned_images(window, dtype, shap
             torch.testing.assert_close(grad_x, gradient, msg=layout)
 
 
-@pytest.mark.parametrize("layout", LAYOUTS)
 @pytest.mark.parametrize("dtype", [*DTYPES, torch.uint8], ids=str)
 @pytest.mark.parametrize("shape", [*SHAPES, (2, 3, 301, 37), (1, 3, 999, 1)], ids=str)
-def test_flips_and_crops_are_copies(shape, dtype, layout, device):
-    x = LAYOUTS[layout](torch.randint(0, 256, shape).to(device=device, dtype=dtype))
+def test_flips_and_crops_are_copies(shape, dtype, device):
+    pixels_of_all = torch.randint(0, 256, shape).to(device=device, dtype=dtype)
     height, width = shape[-2:]
-    assert torch.equal(transform.hflip(x), x.flip(-1))
-    assert torch.equal(transform.vflip(x), x.flip(-2))
-    assert torch.equal(transform.rot180(x), x.flip(-2, -1))
     crop = torch.ops.kvision.crop
     top, left, h, w = height // 5, width // 3, height // 2, width // 2 + 1
-    assert torch.equal(crop(x, [top, left], [h, w]), x[..., top : top + h, left : left + w])
-    padded = crop(x, [-2, -3], [height + 5, width + 4])
-    assert torch.equal(padded[..., 2 : height + 2, 3 : width + 3], x)
-    assert padded.sum(dtype=torch.float64) == x.sum(dtype=torch.float64)
+    for layout, arrange in LAYOUTS.items():
+        x = arrange(pixels_of_all)
+        assert torch.equal(transform.hflip(x), x.flip(-1)), layout
+        assert torch.equal(transform.vflip(x), x.flip(-2)), layout
+        assert torch.equal(transform.rot180(x), x.flip(-2, -1)), layout
+        assert torch.equal(crop(x, [top, left], [h, w]), x[..., top : top + h, left : left + w]), layout
+        padded = crop(x, [-2, -3], [height + 5, width + 4])
+        assert torch.equal(padded[..., 2 : height + 2, 3 : width + 3], x), layout
+        assert padded.sum(dtype=torch.float64) == x.sum(dtype=torch.float64), layout
 
 
-@pytest.mark.parametrize("layout", LAYOUTS)
 @pytest.mark.parametrize("dtype", DTYPES, ids=str)
 @pytest.mark.parametrize("shape", [*SHAPES, (96, 1, 32, 33), (70, 3, 65, 255)], ids=str)
-def test_equalize_agrees_with_the_reference(shape, dtype, layout, device):
-    x = LAYOUTS[layout](pixels(shape, dtype, device))
+def test_equalize_agrees_with_the_reference(shape, dtype, device):
+    x = pixels(shape, dtype, device)
     x[0, 0, 3, 5] = float("nan")
     x[-1, -1] = 0.5  # stays as it is
     with kvision.backend("reference"):
         expected = enhance.equalize(x)
     # On a GPU torch divides by 255 through a product: the last bit differs.
     atol = 0.0 if device.type == "cpu" else 6e-8
-    torch.testing.assert_close(enhance.equalize(x), expected, rtol=0, atol=atol, equal_nan=True)
+    for layout, arrange in LAYOUTS.items():
+        with named(layout):
+            torch.testing.assert_close(enhance.equalize(arrange(x)), expected, rtol=0, atol=atol, equal_nan=True)
 
 
-@pytest.mark.parametrize("layout", LAYOUTS)
+REDUCTIONS: dict[str, Callable[[Tensor, Tensor], Tensor]] = {
+    "psnr": lambda x, y: metrics.psnr(x, y, 1.0),
+    "charbonnier": lambda x, y: losses.charbonnier_loss(x, y, reduction="none"),
+    "total_variation": lambda x, y: losses.total_variation(x, reduction="mean"),
+    "min_max": lambda x, y: enhance.normalize_min_max(x),
+    "contrast": lambda x, y: enhance.adjust_contrast_with_mean_subtraction(x, 0.7),
+}
+
+
 @pytest.mark.parametrize("dtype", DTYPES, ids=str)
 @pytest.mark.parametrize("shape", SHAPES, ids=str)
-def test_reductions_agree_with_the_reference(shape, dtype, layout, device):
-    x, y = (LAYOUTS[layout](pixels(shape, dtype, device)) for _ in range(2))
-    calls = {
-        "psnr": lambda x: metrics.psnr(x, y, 1.0),
-        "charbonnier": lambda x: losses.charbonnier_loss(x, y, reduction="none"),
-        "total_variation": lambda x: losses.total_variation(x, reduction="mean"),
-        "min_max": enhance.normalize_min_max,
-        "contrast": lambda x: enhance.adjust_contrast_with_mean_subtraction(x, 0.7),
-    }
-    for name, call in calls.items():
-        results = []
-        for backend in ("auto", "reference"):
-            leaf = x.detach().requires_grad_()
-            with kvision.backend(backend):
-                value = call(leaf)
-                gradient = torch.autograd.grad(value.float().square().sum(), leaf)[0]
-            results.append((value.detach(), gradient))
-        for ours, expected in zip(*results):
-            tolerance = {torch.float32: 2e-5, torch.float16: 4e-3, torch.bfloat16: 3e-2}[dtype]
-            scale = float(expected.float().abs().max()) + 1e-9
-            error = float((ours.float() - expected.float()).abs().max()) / scale
-            assert error <= tolerance, (name, error)
+def test_reductions_agree_with_the_reference(shape, dtype, device):
+    x, y = (pixels(shape, dtype, device) for _ in range(2))
+    tolerance = {torch.float32: 2e-5, torch.float16: 4e-3, torch.bfloat16: 3e-2}[dtype]
+
+    def results(call: Callable[[Tensor, Tensor], Tensor], x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
+        leaf = x.detach().requires_grad_()
+        value = call(leaf, y)
+        return value.detach(), torch.autograd.grad(value.float().square().sum(), leaf)[0]
+
+    for name, call in REDUCTIONS.items():
+        with kvision.backend("reference"):
+            expected = results(call, x, y)
+        for layout, arrange in LAYOUTS.items():
+            for ours, theirs in zip(results(call, arrange(x), arrange(y)), expected):
+                scale = float(theirs.float().abs().max()) + 1e-9
+                error = float((ours.float() - theirs.float()).abs().max()) / scale
+                assert error <= tolerance, (name, layout, error)
 
 
-@pytest.mark.parametrize("layout", LAYOUTS)
 @pytest.mark.parametrize("dtype", DTYPES, ids=str)
 @pytest.mark.parametrize("shape", SHAPES, ids=str)
-def test_normals_have_the_bits_of_aligned_images(shape, dtype, layout, device):
+def test_normals_have_the_bits_of_aligned_images(shape, dtype, device):
     height, width = shape[-2:]
     x = pixels((shape[0], 1, height, -(-width // 16) * 16), dtype, device) + 1
     expected = geometry.depth_to_normals(x, camera(x))[..., : width - 1]
-    y = geometry.depth_to_normals(LAYOUTS[layout](x[..., :width]), camera(x))
     with kvision.backend("reference"):
         reference = geometry.depth_to_normals(x[..., :width].float(), camera(x))
-    if device.type == "cuda":
-        assert torch.equal(y[..., : width - 1], expected)
     tolerance = {torch.float32: 1e-4, torch.float16: 2e-3, torch.bfloat16: 1.6e-2}[dtype]
-    torch.testing.assert_close(y.float(), reference, rtol=0, atol=tolerance)
+    for layout, arrange in LAYOUTS.items():
+        y = geometry.depth_to_normals(arrange(x[..., :width]), camera(x))
+        assert device.type != "cuda" or torch.equal(y[..., : width - 1], expected), layout
+        with named(layout):
+            torch.testing.assert_close(y.float(), reference, rtol=0, atol=tolerance)
 
 
 @pytest.mark.parametrize("dtype", DTYPES, ids=str)
@@ -182,27 +186,27 @@ def test_points_of_a_batch_have_the_bits_of_single_samples(count, dtype, device)
                 assert torch.equal(together[i], expected), (name, i)
 
 
-@pytest.mark.parametrize("layout", LAYOUTS)
-@pytest.mark.parametrize("dtype", [*DTYPES, torch.uint8], ids=str)
-@pytest.mark.parametrize("window, stride, padding", [(32, 32, 0), (16, 8, 3), (48, 16, 16), (30, 7, 0)], ids=str)
-def test_patches_are_copies(window, stride, padding, dtype, layout, device):
-    for shape in SHAPES:
-        x = LAYOUTS[layout](torch.randint(0, 256, shape).to(device=device, dtype=dtype))
-        patches = contrib.extract_tensor_patches(x, window, stride, padding)
-        padded = torch.nn.functional.pad(x, [padding] * 4)
-        expected = padded.unfold(2, window, stride).unfold(3, window, stride)  # (B, C, down, across, window, window)
-        assert torch.equal(patches, expected.permute(0, 2, 3, 1, 4, 5).flatten(1, 2)), shape
+PATCHES = [(32, 32, 0), (16, 8, 3), (48, 16, 16), (30, 7, 0)]  # window, stride, padding
 
 
-@pytest.mark.parametrize("dtype", DTYPES, ids=str)
-@pytest.mark.parametrize("window, stride, padding", [(32, 32, 0), (16, 8, 0), (48, 16, 16), (30, 7, 0)], ids=str)
-def test_gradients_of_patches_are_sums(window, stride, padding, dtype, device):
-    for shape in SHAPES:
-        x = pixels(shape, dtype, device).requires_grad_()
-        patches = contrib.extract_tensor_patches(x, window, stride, padding)
-        weights = torch.randint(0, 8, patches.shape).to(patches)  # whose sums are exact in every type
-        results = [torch.autograd.grad(patches, x, weights)[0]]
-        with kvision.backend("reference"):
-            again = contrib.extract_tensor_patches(x, window, stride, padding)
-            results.append(torch.autograd.grad(again.float(), x, weights.float())[0])
-        assert torch.equal(*results), shape
+@pytest.mark.parametrize(("cut", "dtype", "shape"), pairwise(PATCHES, [*DTYPES, torch.uint8], SHAPES), ids=str)
+def test_patches_are_copies(cut, dtype, shape, device):
+    window, stride, padding = cut
+    x = torch.randint(0, 256, shape).to(device=device, dtype=dtype)
+    padded = torch.nn.functional.pad(x, [padding] * 4)
+    expected = padded.unfold(2, window, stride).unfold(3, window, stride)  # (B, C, down, across, window, window)
+    expected = expected.permute(0, 2, 3, 1, 4, 5).flatten(1, 2)
+    for layout, arrange in LAYOUTS.items():
+        assert torch.equal(contrib.extract_tensor_patches(arrange(x), *cut), expected), layout
+
+
+@pytest.mark.parametrize(("cut", "dtype", "shape"), pairwise(PATCHES, DTYPES, SHAPES), ids=str)
+def test_gradients_of_patches_are_sums(cut, dtype, shape, device):
+    x = pixels(shape, dtype, device).requires_grad_()
+    patches = contrib.extract_tensor_patches(x, *cut)
+    weights = torch.randint(0, 8, patches.shape).to(patches)  # whose sums are exact in every type
+    results = [torch.autograd.grad(patches, x, weights)[0]]
+    with kvision.backend("reference"):
+        again = contrib.extract_tensor_patches(x, *cut)
+        results.append(torch.autograd.grad(again.float(), x, weights.float())[0])
+    assert torch.equal(*results)

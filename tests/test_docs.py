@@ -17,6 +17,7 @@ from pathlib import Path
 import pytest
 import torch
 
+import fresh
 import kvision as K
 from benchmarks.sample_calls import sample_calls, sample_modules
 from kvision import _backend
@@ -70,7 +71,8 @@ def test_guides_run(page: str, photo: None) -> None:
     program = "\n".join(examples(page))
     if "patch_kornia" in program:  # changes Kornia for the whole process
         pytest.importorskip("kornia")
-        subprocess.run([sys.executable, "-c", program], check=True)
+        result = fresh.run(program)
+        assert result.returncode == 0, result.stderr
     else:
         exec(program, {"__name__": "guide"})
 
@@ -125,11 +127,11 @@ def test_every_block_says_its_language() -> None:
         assert "py" not in fences or path.name == "deployment.md"
 
 
-@pytest.mark.parametrize("page", PAGES)
-def test_commands_are_no_part_of_a_list(page: str) -> None:
+def test_commands_are_no_part_of_a_list() -> None:
     """An indented block right after a list would become a paragraph of its last point on the site."""
     inside = r"^(?:[-*]|\d+\.) .+\n(?: +\S.*\n)*\n {4}(?:python|pip|torchrun|make|cmake|git) .*"
-    assert not re.findall(inside, (ROOT / page).read_text(), re.MULTILINE)
+    for page in PAGES:
+        assert not re.findall(inside, (ROOT / page).read_text(), re.MULTILINE), page
 
 
 def test_coverage_of_kornia_is_as_written() -> None:
@@ -146,18 +148,17 @@ def test_coverage_of_kornia_is_as_written() -> None:
         assert not hasattr(K, module) or missing != "all", f"{module} has names now: renew the table"
 
 
-@pytest.mark.parametrize("page", PAGES)
-def test_python_is_python(page: str) -> None:
-    for example in examples(page):
-        compile(example, page, "exec")
+def test_python_is_python() -> None:
+    for page in PAGES:
+        for example in examples(page):
+            compile(example, page, "exec")
 
 
-@pytest.mark.parametrize("page", PAGES)
-def test_links_lead_somewhere(page: str) -> None:
-    text = (ROOT / page).read_text()
-    for target in re.findall(r"\]\(([^)#]+)", text):
-        if not target.startswith("http"):
-            assert (ROOT / page).parent.joinpath(target).exists(), target
+def test_links_lead_somewhere() -> None:
+    for page in PAGES:
+        for target in re.findall(r"\]\(([^)#]+)", (ROOT / page).read_text()):
+            if not target.startswith("http"):
+                assert (ROOT / page).parent.joinpath(target).exists(), f"{page}: {target}"
 
 
 def test_the_site_has_every_page() -> None:
@@ -167,12 +168,12 @@ def test_the_site_has_every_page() -> None:
     assert pages - {"README.md"} <= listed
 
 
-@pytest.mark.parametrize("page", PAGES)
-def test_paths_exist(page: str) -> None:
+def test_paths_exist() -> None:
     """Paths in backticks on a page exist if their first folder is one of this repository."""
     folders = "|".join(path.name for path in ROOT.iterdir() if path.is_dir() and path.name not in ("build", "out"))
-    for path in re.findall(rf"`((?:{folders})/[\w./-]*\w)`", (ROOT / page).read_text()):
-        assert (ROOT / path).exists() or list(ROOT.glob(path + "*")), path
+    for page in PAGES:
+        for path in re.findall(rf"`((?:{folders})/[\w./-]*\w)`", (ROOT / page).read_text()):
+            assert (ROOT / path).exists() or list(ROOT.glob(path + "*")), f"{page}: {path}"
 
 
 def test_every_public_name_is_in_the_reference() -> None:

@@ -141,7 +141,8 @@ Examples = list[tuple[Any, doctest.DocTest]]
 
 # Networks of Kornia's own that take most of the time of all examples. kvision has none of them.
 LARGE_NETWORKS = re.compile(
-    r"VisualPrompter|sold2_detector\.SOLD2|DeFMO|SigLip2Model|DeDoDe|DescriptorMatcherWithSteerer"
+    r"VisualPrompter|sold2_detector\.SOLD2|DeFMO|SigLip2Model|DeDoDe|DescriptorMatcherWithSteerer|DexiNed|EdgeDetector"
+    r"|VisionTransformer|loftr\.LoFTR|Sam\.from_config"
 )
 
 

@@ -88,14 +88,15 @@ def test_nothing_depends_on_the_default_device(device: torch.device) -> None:
 
 
 @names
-@pytest.mark.parametrize("p", [0.0, 0.7, 1.0])
-def test_matrices_are_where_images_are(case: Augmentation, p: float, device: torch.device) -> None:
-    x, augment = images(device), case.make(p=p)
-    flipped = A.AugmentationSequential(A.RandomHorizontalFlip(), augment, data_keys=["image"])
-    for call in (augment, lambda x: augment(x, params=augment._params), flipped):
-        call(x)
-        matrix = augment.transform_matrix
-        assert matrix is None or matrix.device == x.device
+def test_matrices_are_where_images_are(case: Augmentation, device: torch.device) -> None:
+    x = images(device)
+    for p in (0.0, 0.7, 1.0):
+        augment = case.make(p=p)
+        flipped = A.AugmentationSequential(A.RandomHorizontalFlip(), augment, data_keys=["image"])
+        for call in (augment, lambda x, augment=augment: augment(x, params=augment._params), flipped):
+            call(x)
+            matrix = augment.transform_matrix
+            assert matrix is None or matrix.device == x.device, p
 
 
 @pytest.mark.interface
@@ -121,22 +122,22 @@ def test_replay_is_exact(case: Augmentation, device: torch.device) -> None:
 
 @pytest.mark.interface
 @pytest.mark.parametrize("case", GEOMETRIC, ids=lambda case: case.name)
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float64, torch.float16], ids=str)
-def test_matrices_have_the_type_that_computes(case: Augmentation, dtype: torch.dtype, device: torch.device) -> None:
+def test_matrices_have_the_type_that_computes(case: Augmentation, device: torch.device) -> None:
     """Drawn, replayed, in a container and where they are computed from the parameters again."""
-    x, augment = images(device).to(dtype), case.make(p=1.0)
-    augment(x)
-    matrix, params = augment.transform_matrix, augment._params
-    assert matrix.dtype == (torch.float64 if dtype == torch.float64 else torch.float32)
-    augment(x, params=params)
-    of_params = augment._execution_of(params, x, augment.flags).matrix
-    torch.testing.assert_close(augment.transform_matrix, matrix, rtol=0, atol=0)
-    torch.testing.assert_close(of_params, matrix, rtol=0, atol=0)
-    chain = A.ImageSequential(A.RandomHorizontalFlip(p=1.0), augment)
-    chain(x)
-    matrix = chain.transform_matrix
-    chain(x, params=chain._params)
-    torch.testing.assert_close(chain.transform_matrix, matrix, rtol=0, atol=0)
+    for dtype in (torch.float32, torch.float64, torch.float16):
+        x, augment = images(device).to(dtype), case.make(p=1.0)
+        augment(x)
+        matrix, params = augment.transform_matrix, augment._params
+        assert matrix.dtype == (torch.float64 if dtype == torch.float64 else torch.float32)
+        augment(x, params=params)
+        of_params = augment._execution_of(params, x, augment.flags).matrix
+        torch.testing.assert_close(augment.transform_matrix, matrix, rtol=0, atol=0)
+        torch.testing.assert_close(of_params, matrix, rtol=0, atol=0)
+        chain = A.ImageSequential(A.RandomHorizontalFlip(p=1.0), augment)
+        chain(x)
+        matrix = chain.transform_matrix
+        chain(x, params=chain._params)
+        torch.testing.assert_close(chain.transform_matrix, matrix, rtol=0, atol=0)
 
 
 def _saved(params: dict[str, Any]) -> io.BytesIO:
@@ -232,11 +233,10 @@ def test_same_on_batch(case: Augmentation) -> None:
 
 
 @names
-@pytest.mark.parametrize("batch", [0, 1])
-def test_small_batches(case: Augmentation, batch: int, device: torch.device) -> None:
-    x = images(device, batch)
-    y = case.make(p=1.0)(x)
-    assert y.shape[:2] == x.shape[:2]
+def test_small_batches(case: Augmentation, device: torch.device) -> None:
+    for batch in (0, 1):
+        x = images(device, batch)
+        assert case.make(p=1.0)(x).shape[:2] == x.shape[:2]
 
 
 @pytest.mark.interface
@@ -254,21 +254,21 @@ def _keepdim(case: Augmentation) -> dict[str, bool]:
 
 
 @names
-@pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16, torch.float64, torch.uint8], ids=str)
-def test_types(case: Augmentation, dtype: torch.dtype, device: torch.device) -> None:
-    x, augment = images(device, dtype=dtype), case.make(p=1.0)
-    y = augment(x, seed=3)
-    leaves_unit = case.name in ("Normalize", "Denormalize") and dtype == torch.uint8
-    assert y.dtype == (torch.float32 if leaves_unit else dtype)
-    expected = augment(x.float() / (255 if dtype == torch.uint8 else 1), seed=3)
-    if y.dtype == torch.uint8:
-        expected = expected.clamp(0, 1)  # bytes saturate
-    exact = (1.0, 1e-4)
-    scale, tolerance = {torch.uint8: (255.0, 1.01), torch.float64: exact, torch.float32: exact}.get(
-        y.dtype, (1.0, 0.03)
-    )
-    if case.gradient:  # others jump
-        assert (y.double() - scale * expected.double()).abs().max() <= tolerance
+def test_types(case: Augmentation, device: torch.device) -> None:
+    for dtype in (torch.float16, torch.bfloat16, torch.float64, torch.uint8):
+        x, augment = images(device, dtype=dtype), case.make(p=1.0)
+        y = augment(x, seed=3)
+        leaves_unit = case.name in ("Normalize", "Denormalize") and dtype == torch.uint8
+        assert y.dtype == (torch.float32 if leaves_unit else dtype)
+        expected = augment(x.float() / (255 if dtype == torch.uint8 else 1), seed=3)
+        if y.dtype == torch.uint8:
+            expected = expected.clamp(0, 1)  # bytes saturate
+        exact = (1.0, 1e-4)
+        scale, tolerance = {torch.uint8: (255.0, 1.01), torch.float64: exact, torch.float32: exact}.get(
+            y.dtype, (1.0, 0.03)
+        )
+        if case.gradient:  # others jump
+            assert (y.double() - scale * expected.double()).abs().max() <= tolerance, dtype
 
 
 @names

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from pathlib import Path
 
 import pytest
@@ -13,7 +14,11 @@ from benchmarks.timing import Clock, CpuClock
 
 @pytest.fixture(autouse=True)
 def quick_clock(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One round with one timed call; the copies that measure the bandwidth of memory would take seconds."""
+    """One round with one timed call; the copies that measure the bandwidth of memory would take seconds.
+
+    Clocks collect garbage before each round, among what these tests make alone.
+    """
+    gc.freeze()
     monkeypatch.setattr(Clock.__init__, "__defaults__", (0.0, 1))
     monkeypatch.setattr(Clock, "min_calls", 1)
     monkeypatch.setattr(CpuClock, "copy_bandwidth", lambda self: 1e10)

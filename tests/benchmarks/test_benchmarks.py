@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import gc
 import json
 import time
 from collections.abc import Sequence
@@ -321,6 +322,7 @@ def test_threads(capsys):
 
 @pytest.fixture(autouse=True)
 def same_threads():
+    gc.freeze()  # clocks collect garbage before each round, among what these tests make alone
     before = torch.get_num_threads()
     yield
     torch.set_num_threads(before)

@@ -9,11 +9,11 @@ import torch
 import kvision as kv
 from benchmarks.sample_calls.windows import WINDOWS, Window
 from kvision import filters, losses
+from op_tests import pairwise
 
 pytestmark = [pytest.mark.native, pytest.mark.large]
 
 LARGE = [window for window in WINDOWS if window.large and any(window.reach)]
-windows = pytest.mark.parametrize("window", LARGE, ids=str)
 HALVES = (torch.float16, torch.bfloat16)
 
 
@@ -38,24 +38,32 @@ def sliced(x, before, after):
     return view.copy_(x)
 
 
-@pytest.mark.parametrize("dtype", [torch.float32, *HALVES], ids=str)
-@pytest.mark.parametrize("before, after", [(1, 0), (2, 3), (3, 4), (5, 2)])
-@windows
-def test_slices_give_the_same_bits(window, before, after, dtype, device):
+@pytest.mark.parametrize(
+    ("window", "ends", "dtype"),
+    pairwise(LARGE, [(1, 0), (2, 3), (3, 4), (5, 2)], [torch.float32, *HALVES]),
+    ids=str,
+)
+def test_slices_give_the_same_bits(window, ends, dtype, device):
     call = on_images(window)
     x = torch.rand(2, 3, 43, 272, device=device).to(dtype)
     g = torch.rand_like(call(x))
     result, gradient = result_and_gradient(call, x, g)
-    of_slice, gradient_of_slice = result_and_gradient(call, sliced(x, before, after), sliced(g, before, after))
+    of_slice, gradient_of_slice = result_and_gradient(call, sliced(x, *ends), sliced(g, *ends))
     assert torch.equal(of_slice, result)
     assert torch.equal(gradient_of_slice, gradient)
 
 
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float16], ids=str)
 @pytest.mark.parametrize(
-    "width", [129, 257, 513, *(pytest.param(n, marks=pytest.mark.gpu) for n in (142, 270, 299, 481, 514, 517))]
+    ("window", "width", "dtype"),
+    [
+        *pairwise(LARGE, [129, 257, 513], [torch.float32, torch.float16]),
+        *(
+            pytest.param(*case, marks=pytest.mark.gpu)
+            for case in pairwise(LARGE, [142, 270, 299, 481, 514, 517], [torch.float32, torch.float16])
+        ),
+    ],
+    ids=str,
 )
-@windows
 def test_odd_widths(window, width, dtype, device):
     """Far from the right border they agree with a wider image, near it with the reference."""
     call, reach, name = on_images(window), window.reach[-1], str(window)

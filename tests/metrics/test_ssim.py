@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
+
 import pytest
 import torch
 
 import kvision as K
-from op_tests import OpTests, assert_close
+from op_tests import OpTests, assert_close, pairwise
 
 
 def other(x: torch.Tensor) -> torch.Tensor:
@@ -143,12 +145,18 @@ def test_blocks_and_strips(window, size, padding, layout, device):
 
 
 @pytest.mark.native
-@pytest.mark.parametrize("window", [1, 3, 7, 11, 23])
-@pytest.mark.parametrize("size", [(7, 8, 9), (12, 20, 40), (25, 12, 33)], ids=str)
-@pytest.mark.parametrize("padding", ["same", "valid"])
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=str)
-def test_volumes(window, size, padding, dtype, device):
+@pytest.mark.parametrize(
+    ("window_and_padding", "size", "dtype"),
+    pairwise(
+        list(itertools.product([1, 3, 7, 11, 23], ["same", "valid"])),
+        [(7, 8, 9), (12, 20, 40), (25, 12, 33)],
+        [torch.float32, torch.float64],
+    ),
+    ids=str,
+)
+def test_volumes(window_and_padding, size, dtype, device):
     """Map and loss of volumes with both gradients."""
+    window, padding = window_and_padding
     if min(size) < window if padding == "valid" else min(size) <= window // 2:
         pytest.skip("the window is larger than the volumes")
     x = torch.rand(2, 2, *size, device=device, dtype=dtype)

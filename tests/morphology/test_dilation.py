@@ -6,7 +6,7 @@ import pytest
 import torch
 
 import kvision as K
-from op_tests import OpTests, assert_close
+from op_tests import OpTests, assert_close, pairwise
 
 ERRORS = [
     ({"kernel": lambda x: torch.ones(3)}, ValueError, "expected kernel of shape"),
@@ -52,10 +52,15 @@ class TestErosion(Morphology):
 
 
 @pytest.mark.native
-@pytest.mark.parametrize("size", [(3, 3), (7, 7), (15, 15), (8, 7), (1, 9), (7, 1), (31, 2), (9, 70)], ids=str)
-@pytest.mark.parametrize("flat", [True, False], ids=["flat", "few"])
-@pytest.mark.parametrize("function", [K.morphology.dilation, K.morphology.erosion])
-def test_windows_of_many_sizes(function, size, flat, device):
+@pytest.mark.parametrize(
+    ("size", "function", "flat"),
+    pairwise(
+        [(3, 3), (7, 7), (15, 15), (8, 7), (1, 9), (7, 1), (31, 2), (9, 70)],
+        [K.morphology.dilation, K.morphology.erosion],
+        [True, False],
+    ),
+)
+def test_windows_of_many_sizes(size, function, flat, device):
     """Values and gradients of images with many ties, which tiles and strips do not hold as a whole."""
     kernel = torch.ones(size, device=device)
     if not flat:

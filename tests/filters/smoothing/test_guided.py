@@ -7,16 +7,16 @@ import torch
 import kvision as K
 from kvision.core.exceptions import DeviceError, ShapeError, TypeCheckError, ValueCheckError
 from kvision.filters.smoothing.guided import _solve
-from op_tests import assert_close
+from op_tests import assert_close, pairwise
 
 guided_blur = K.filters.guided_blur
 BORDERS = ("constant", "reflect", "replicate", "circular")
 
 
-@pytest.mark.parametrize("border", BORDERS)
-@pytest.mark.parametrize("subsample", [1, 2, 3])
-@pytest.mark.parametrize("channels", [(1, 1), (1, 3), (3, 2), (4, 4)], ids=str)
-def test_against_kornia(border, subsample, channels, device):
+@pytest.mark.parametrize(
+    ("border", "channels", "subsample"), pairwise(BORDERS, [(1, 1), (1, 3), (3, 2), (4, 4)], [1, 2, 3]), ids=str
+)
+def test_against_kornia(border, channels, subsample, device):
     guidance, x = (torch.rand(2, c, 25, 22, dtype=torch.float64, device=device) for c in channels)
     for size, eps in ((5, 0.1), ((3, 7), torch.rand(2, dtype=torch.float64, device=device) + 0.01)):
         actual = guided_blur(guidance, x, size, eps, border, subsample)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import pytest
 import torch
 import torch.nn.functional as F
@@ -12,7 +14,7 @@ from kvision._dtype import compute_dtype, pixels
 from kvision._modes import INTERPOLATION
 from kvision.core.exceptions import ShapeError, TypeCheckError
 from kvision.geometry.transform.resize_windows import resized_windows
-from op_tests import OpTests, assert_close
+from op_tests import OpTests, assert_close, pairwise
 
 
 def matrices(boxes, flips, size, align_corners, dtype=torch.float32):
@@ -76,13 +78,18 @@ class TestResizeWindows(OpTests):
     ]
 
 
-@pytest.mark.parametrize("flips", [(False, False), (True, False), (True, True)], ids=str)
-@pytest.mark.parametrize("align_corners", [False, True])
-@pytest.mark.parametrize("filter", ["bilinear", "bicubic", "lanczos"])
-@pytest.mark.parametrize("size", [(30, 36), (24, 22), (50, 70), (1, 7), (3, 1)], ids=str)
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float16, torch.uint8], ids=str)
-def test_equals_resize_of_each_window(dtype, size, filter, align_corners, flips, device):
+@pytest.mark.parametrize(
+    ("interpolation", "corners", "size"),
+    pairwise(
+        list(product([torch.float32, torch.float16, torch.uint8], ["bilinear", "bicubic", "lanczos"])),
+        list(product([False, True], [(False, False), (True, False), (True, True)])),
+        [(30, 36), (24, 22), (50, 70), (1, 7), (3, 1)],
+    ),
+    ids=str,
+)
+def test_equals_resize_of_each_window(interpolation, corners, size, device):
     """In one batch some windows shrink and others grow, in any layout; and so do the gradients."""
+    (dtype, filter), (align_corners, flips) = interpolation, corners
     generator = torch.Generator().manual_seed(size[0])
     x = torch.rand(6, 3, 41, 53, generator=generator)
     x = ((255 * x).to(dtype) if dtype == torch.uint8 else x.to(dtype)).to(device)

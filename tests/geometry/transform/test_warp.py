@@ -1,7 +1,5 @@
 import contextlib
 import itertools
-import subprocess
-import sys
 from pathlib import Path
 
 import cv2
@@ -11,11 +9,12 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+import fresh
 import kvision as K
 from kvision._modes import INTERPOLATION, PADDING
 from kvision.geometry.transform import sampling
 from kvision.geometry.transform.sampling import remap
-from op_tests import assert_close, instruction_set, with_layout
+from op_tests import assert_close, instruction_set, pairwise, with_layout
 from warp_tests import WarpTests, affine, homography, one
 
 G = K.geometry
@@ -437,13 +436,18 @@ def many(kind: str, x: Tensor, index: Tensor | None, count: int, mode: str, padd
 
 
 @pytest.mark.native
-@pytest.mark.parametrize("dtype", [torch.float64, torch.float32, torch.float16], ids=str)
-@pytest.mark.parametrize("padding", ["fill", "border", "reflection"])
-@pytest.mark.parametrize("mode", MODES)
-@pytest.mark.parametrize("kind", ["warp", "remap"])
-@pytest.mark.parametrize("images", [1, 3])
-def test_many_samples_of_few_images(images, kind, mode, padding, dtype, device):
+@pytest.mark.parametrize(
+    ("warp", "data", "padding"),
+    pairwise(
+        list(itertools.product(["warp", "remap"], MODES)),
+        list(itertools.product([1, 3], [torch.float64, torch.float32, torch.float16])),
+        ["fill", "border", "reflection"],
+    ),
+    ids=str,
+)
+def test_many_samples_of_few_images(warp, data, padding, device):
     """Values and gradients are those of as many images."""
+    (kind, mode), (images, dtype) = warp, data
     x = torch.rand(images, 4, 70, 93, dtype=torch.float64, device=device).to(dtype)
     samples = samples_on(device)
     index = torch.randint(0, images, (samples,), device=device) if images > 1 else None
@@ -595,9 +599,8 @@ def test_memory_of_many_patches(device, backend):
     """2,048 patches of an image, and their gradient, take the memory of the patches: less than three images."""
     if backend == "reference":
         pytest.skip("this test is about the kernels")
-    result = subprocess.run(
-        [sys.executable, "-c", MANY_PATCHES, device.type], capture_output=True, text=True, check=True
-    )
+    result = fresh.run(MANY_PATCHES, device.type)
+    assert result.returncode == 0, result.stderr
     assert float(result.stdout) < 3, result.stdout
 
 

@@ -48,6 +48,7 @@ THUMBNAILS = {
     "image_registration": "geometry.homography_warp",
     "process_folder": "enhance.equalize_clahe",
     "segmentation_losses": "contrib.connected_components",
+    "structure_from_motion": "geometry.reproject_image",
     "train_distributed": "augmentation.auto.RandAugment",
     "train_from_jpegs": "augmentation.RandomResizedCrop",
 }

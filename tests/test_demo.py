@@ -145,6 +145,18 @@ def test_says_when_the_machine_is_busy() -> None:
     assert " 2.3 times the quickest" in demo.busy([quiet, loaded, loaded])
 
 
+def test_runs_on_one_thread_where_other_work_has_the_cores(photos, tmp_path, device, capsys, monkeypatch) -> None:
+    threads = torch.get_num_threads()
+    assert 0 < sheet.cores_left(0.05) < threads + 0.5
+    monkeypatch.setattr(demo, "cores_left", lambda: 0.2 * threads)
+    try:
+        assert demo.main([str(photos[0]), "--out", str(tmp_path), "--device", device.type]) == 0
+        assert torch.get_num_threads() == 1
+    finally:
+        torch.set_num_threads(threads)
+    assert f"The machine is busy: torch gets {0.2 * threads:.1f} of {threads} cores." in capsys.readouterr().out
+
+
 def test_calls_take_turns() -> None:
     calls = []
     times = sheet.in_turns([lambda i=i: (calls.append(i), time.sleep(0.01)) for i in range(2)], torch.device("cpu"))

@@ -24,7 +24,7 @@ try:
 
     from kvision.demo import attack, augmentation, color, features, filters, gallery, geometry, morphology
     from kvision.demo.restore import Restoration, blur, restore
-    from kvision.demo.sheet import Column, Sheet, run
+    from kvision.demo.sheet import Column, Sheet, cores_left, run
 except ModuleNotFoundError as error:
     if __name__ != "__main__":
         raise
@@ -41,6 +41,7 @@ STEPS = 150  # of the restoration
 # row of augmentations, a step of the restoration, an iteration of the attack, a page of the gallery, and images in own files.
 STEP, LONGER = 0.2, {"gaussian blur": 2.2, "bilateral": 2.0, "key points": 1.1, "matches": 1.3}
 ROW, RESTORING, ATTACKING, PAGE, FILES = 0.3, 0.008, 0.056, 0.25, 0.6
+LEFT = 0.7  # of the cores for torch's threads; with less, they wait for other work
 BUSY = 1.5  # times the quickest of its calls that the middle one takes where the machine does other work
 
 
@@ -57,9 +58,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"kvision.demo: {error}", file=sys.stderr)
         return 2
     photos = photos.to(device)
+    threads, left = torch.get_num_threads(), cores_left()
+    if is_busy := left < LEFT * threads:
+        torch.set_num_threads(1)  # or each call would wait for the thread that has no core
     cv2.setNumThreads(torch.get_num_threads())
     about = f"{len(photos)} photos of {SIDE}x{SIDE} on {device}, {torch.get_num_threads()} CPU threads"
     print(about)
+    if is_busy:
+        print(f"The machine is busy: torch gets {left:.1f} of {threads} cores. All runs on one thread.")
     done: list[tuple[Sheet, list[Column]]] = []
     pipelines = augmentation.rows(SIDE)
     attacks = attack.ITERATIONS if attack.PROGRAM.is_file() and len(names) > 1 else 0

@@ -107,3 +107,13 @@ def in_turns(calls: Sequence[Callable[[], Any]], device: torch.device) -> list[l
                 turn.append((time.perf_counter() - begin) * 1e3)
             own += turn[1:] or turn
     return times
+
+
+def cores_left(seconds: float = 0.2) -> float:
+    """How many cores the threads of torch get, by how long they run while all of them have work."""
+    x = torch.zeros(1 << 20)
+    x.exp()  # starts them
+    begin, began = time.perf_counter(), time.process_time()
+    while time.perf_counter() - begin < seconds:
+        x.exp()
+    return (time.process_time() - began) / (time.perf_counter() - begin)

@@ -52,7 +52,7 @@ EXCEPTIONS = {
     "geometry/solvers/_minimal": "test_ransac.py, which alone calls it",
     **dict.fromkeys(("resize_list", "resize_list_backward"), "defined beside resize, which they are for lists"),
     "copy_rows": "the engine joins batches by it, the kernel lies with those of lists",
-    "augmentation/engine/turns": "container/test_choices.py: the choices that it runs",
+    "augmentation/sample_rows": "container/test_choices.py: the choices that it serves",
     "geometry/transform/sampling": "test_warp.py: the kernels of warps and remap",
 }
 

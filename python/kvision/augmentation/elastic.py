@@ -20,7 +20,7 @@ from kvision.augmentation.noise import PixelNoise, noise_plan
 from kvision.augmentation.preimages import find_positions
 from kvision.augmentation.random_generator.elastic import ElasticGenerator, FisheyeGenerator, ThinPlateSplineGenerator
 from kvision.augmentation.ranges import Numbers
-from kvision.augmentation.samples import inverse_at, where_chosen
+from kvision.augmentation.samples import where_chosen
 from kvision.augmentation.warp_and_color import Resampling
 from kvision.constants import AnyResample, AnySamplePadding, Resample, SamplePadding
 from kvision.core.exceptions import TypeCheckError
@@ -103,17 +103,6 @@ class MapAugmentation(AugmentationBase2D, keeps_contract=True):
         return where_chosen(execution.chosen, moved.to(points), points)
 
     # --- inverse ---
-
-    def inverse(self, output: Tensor, params: Params | None = None, **kwargs: Any) -> Tensor:
-        of_list = self._each_part(output, params, lambda own, x: own.inverse(x, **kwargs))
-        if of_list is not None:
-            return of_list
-        flags = self._flags_of(kwargs)
-        x, execution = self._call_to_invert(output, params, flags)
-        if not execution.applied or 0 in x.shape:
-            return output
-        y = inverse_at(x, execution.shape[2:], lambda x: self.inverse_images(x, execution, flags))
-        return self._restored(y, output)
 
     def inverse_images(self, x: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
         if not execution.applied or 0 in x.shape:

@@ -20,7 +20,6 @@ from kvision.augmentation.engine import (
     Shape,
 )
 from kvision.augmentation.maps import exact, warp, warp_covered, warp_each, warp_labels
-from kvision.augmentation.samples import inverse_at
 from kvision.augmentation.transforms import Transform, transform_matrix
 from kvision.augmentation.warp_and_color import Resampling, fill_of_images
 from kvision.constants import Resample, SamplePadding
@@ -67,21 +66,6 @@ class GeometricAugmentation(AugmentationBase, keeps_contract=True):
         if not execution.applied:
             return points
         return transform_points(torch.linalg.inv(self._matrix(execution)).to(points), points)
-
-    def inverse(self, output: Tensor, params: Params | None = None, **kwargs: Any) -> Tensor:
-        of_list = self._each_part(output, params, lambda own, x: own.inverse(x, **kwargs))
-        if of_list is not None:
-            return of_list
-        flags = self._flags_of(kwargs)
-        x, execution = self._call_to_invert(output, params, flags)
-        if not execution.applied:
-            return output
-        y = inverse_at(x, self._size_of(execution, flags), lambda x: self.inverse_images(x, execution, flags))
-        return self._restored(y, output)
-
-    def _size_of(self, execution: Execution, flags: dict[str, Any]) -> Sequence[int]:
-        """The size of the results of an execution."""
-        return self.output_shape(execution.shape, flags)[2:]
 
     def inverse_images(self, x: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
         if not execution.applied:
@@ -190,10 +174,10 @@ class GeometricAugmentationBase2D(GeometricAugmentation, RigidAffineAugmentation
             return torch.empty(execution.shape[0], 0, device=x.device), list(chain)
         return columns.drawn, self._bound(chain, columns.span)
 
-    def _matrix(self, execution: Execution) -> Tensor:
-        if execution.matrix is None and execution.applied and execution.columns is not None:
-            execution.matrix = self._matrix_of(execution.columns.drawn, execution, self.flags)
-        return super()._matrix(execution)
+    def _find_matrix(self, execution: Execution) -> Tensor:
+        if not execution.applied or execution.columns is None:
+            return super()._find_matrix(execution)
+        return self._matrix_of(execution.columns.drawn, execution, self.flags)
 
     def compute_transformation(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
         chain = self.matrix_transforms(tuple(input.shape), flags)

@@ -102,6 +102,36 @@ def check_image(module: Any, x: Any) -> None:
         )
 
 
+_LAYOUTS = ("(H, W), (C, H, W) or (B, C, H, W)", "(D, H, W), (C, D, H, W) or (B, C, D, H, W)")
+
+
+def check_batch(module: Any, x: Any, axes: int) -> None:
+    """Raise unless a module takes an input: images with pixels, of `axes` with their channels, alone or in a batch."""
+    check_image(module, x)
+    op = type(module).__name__
+    if not axes - 1 <= x.dim() <= axes + 1:
+        raise ShapeError(f"{op}: expected input of shape {_LAYOUTS[axes - 3]}, got {tuple(x.shape)}")
+    if not x.numel() and 0 in x.shape[1 - axes :]:
+        raise ShapeError(f"{op}: expected input with pixels, got {tuple(x.shape)}")
+
+
+def as_batch(x: Tensor, axes: int) -> Tensor:
+    """An input that was checked as a batch; integers of 16 bits become float32."""
+    while x.dim() < axes + 1:
+        x = x[None]
+    return x.float() if x.dtype in WIDE_INTEGERS else x
+
+
+def checked_images(module: Any, images: Any) -> list[Tensor]:
+    """A list of images; raises unless a module takes images of their type, and they are alike but for their sizes."""
+    op = type(module).__name__
+    images = check_list(op, "input", images)
+    check_image(module, images[0])
+    if images[0].dtype in WIDE_INTEGERS:
+        raise TypeCheckError(f"{op}: expected a list of images of bytes or floats, got {images[0].dtype}")
+    return images
+
+
 def in_type_of(y: Tensor, input: Tensor) -> Tensor:
     """A result in the type of integers of 16 bits that it was computed for; others as they are."""
     if input.dtype not in WIDE_INTEGERS:

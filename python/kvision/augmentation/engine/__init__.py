@@ -21,11 +21,11 @@ One augmentation:
 Neighbors in a container:
 
     runs, passes   plan what neighbors draw and execute together, and execute it
-    definition     what they compute, written plainly
     choices        which children run, for the batch or for each sample
     turns          execution where each sample has children of its own; choice_base the containers that draw them
     lists          a list of images that an augmentation makes a batch by one launch
-    list_calls     a call on a list, image by image; augment_list that of one augmentation
+    list_calls     a call on a list, image by image
+    call_context   what the children of a container have in common in one call
     stages, record what a call did to positions of pixels; all that it did
     label_moves    boxes and points behind the stages of a call; label_record those of one call
     *_sequential   the containers that users call
@@ -42,6 +42,7 @@ from kvision.augmentation.engine.augmentation import (
     RigidAffineAugmentationBase3D,
 )
 from kvision.augmentation.engine.augmentation_sequential import AugmentationSequential
+from kvision.augmentation.engine.call_context import CallContext
 from kvision.augmentation.engine.choice_base import ChoiceBase, positional
 from kvision.augmentation.engine.configuration import restored_format, settings_changed
 from kvision.augmentation.engine.contribution import Colors, Contribution, Motion
@@ -58,7 +59,6 @@ from kvision.augmentation.engine.execution import (
 from kvision.augmentation.engine.image_sequential import ImageSequential, ImageSequentialBase, ParamItem, checked_items
 from kvision.augmentation.engine.patch_sequential import PatchSequential
 from kvision.augmentation.engine.record import Child, Record
-from kvision.augmentation.engine.runs import CallContext
 from kvision.augmentation.engine.stages import Applied, Chain, Warp
 from kvision.augmentation.engine.turns import Turn, joins
 from kvision.augmentation.engine.video_sequential import VideoSequential

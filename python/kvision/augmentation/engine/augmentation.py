@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
 from typing import Any, ClassVar
 
 import torch
@@ -11,13 +13,18 @@ from typing_extensions import Self
 
 from kvision._modules import give_own_forward
 from kvision._tv_tensors import wrap
-from kvision.augmentation.engine.augment_list import augment_list, call_each_image
-from kvision.augmentation.engine.execution import Execution, Params, replaying
+from kvision.augmentation.engine.call_context import CallContext
+from kvision.augmentation.engine.call_labels import CallLabels
+from kvision.augmentation.engine.execution import Execution, Params, Shape, replaying
 from kvision.augmentation.engine.executor import Executor
+from kvision.augmentation.engine.list_calls import Parts, call_in_parts, shapes_of_images
+from kvision.augmentation.engine.lists import execute_list, list_plan
+from kvision.augmentation.engine.record import Child
 from kvision.augmentation.inputs import (
-    WIDE_INTEGERS,
-    check_image,
+    as_batch,
+    check_batch,
     check_matrix,
+    checked_images,
     image_and_matrix,
     in_type_of,
     plain_image,
@@ -27,6 +34,7 @@ from kvision.augmentation.labels import box_edges, masks_as_batch
 from kvision.augmentation.maps import exact
 from kvision.augmentation.samples import (
     at_scale,
+    inverse_at,
     is_known,
     known_everywhere,
     where_chosen,
@@ -34,7 +42,8 @@ from kvision.augmentation.samples import (
     without_added_axes,
 )
 from kvision.color.frames import Frames
-from kvision.core.exceptions import ShapeError
+from kvision.constants import DataKey
+from kvision.geometry.transform.lists.arguments import largest_shape
 
 __all__ = [
     "AugmentationBase",
@@ -43,6 +52,9 @@ __all__ = [
     "RigidAffineAugmentationBase2D",
     "RigidAffineAugmentationBase3D",
 ]
+
+
+_KEYS = {"boxes": DataKey.BBOX_XYXY, "masks": DataKey.MASK}  # of labels that draws read
 
 
 class AugmentationBase(Executor, keeps_contract=True):
@@ -56,20 +68,12 @@ class AugmentationBase(Executor, keeps_contract=True):
 
     def validate_tensor(self, input: Tensor) -> None:
         """Raise unless `input` is a tensor of a type of images with at most a batch of images that have pixels."""
-        axes, op = self.axes, type(self).__name__
-        check_image(self, input)
-        if not axes - 1 <= input.dim() <= axes + 1:
-            layout = ("(H, W), (C, H, W) or (B, C, H, W)", "(D, H, W), (C, D, H, W) or (B, C, D, H, W)")[axes - 3]
-            raise ShapeError(f"{op}: expected input of shape {layout}, got {tuple(input.shape)}")
-        if not input.numel() and 0 in input.shape[1 - axes :]:
-            raise ShapeError(f"{op}: expected input with pixels, got {tuple(input.shape)}")
+        check_batch(self, input, self.axes)
 
     def transform_tensor(self, input: Tensor, **_: Any) -> Tensor:
         """The input as a batch: (H, W) and (C, H, W) become (1, C, H, W); integers of 16 bits become float32."""
         self.validate_tensor(input)
-        while input.dim() < self.axes + 1:
-            input = input[None]
-        return input.float() if input.dtype in WIDE_INTEGERS else input
+        return as_batch(input, self.axes)
 
     def _flags_of(self, overrides: Mapping[str, Any]) -> dict[str, Any]:
         return self._checked_flags({**self.flags, **overrides}) if overrides else self.flags
@@ -107,9 +111,12 @@ class AugmentationBase(Executor, keeps_contract=True):
                 tensor and of matrices.
             ValueError: `input` has another number of axes; matrices have another shape.
         """
-        given, before = image_and_matrix(self, input.rgb() if isinstance(input, Frames) else input)
-        if isinstance(given, list):
-            return self._call_on_list(given, params, seed, generator, return_transform, kwargs)
+        if type(input) is Tensor:
+            given, before = input, None
+        else:
+            given, before = image_and_matrix(self, input.rgb() if isinstance(input, Frames) else input)
+            if isinstance(given, list):
+                return self._call_on_list(given, params, seed, generator, return_transform, kwargs)
         image = plain_image(self, given)
         x = self.transform_tensor(image)
         if before is not None:
@@ -138,24 +145,58 @@ class AugmentationBase(Executor, keeps_contract=True):
         return_transform: bool | None,
         kwargs: dict[str, Any],
     ) -> Any:
-        """Augment a list of images (C, H, W)."""
-        labels = None if self.reads_labels is None else kwargs.pop(self.reads_labels, None)
-        images = plain_image(self, given)
-        y, execution = augment_list(self, images, params, seed, generator, self._flags_of(kwargs), labels)
+        """Augment a list of images (C, H, W): by one launch if all results have one size, and otherwise image by image."""
+        op, labels = type(self).__name__, None if self.reads_labels is None else kwargs.pop(self.reads_labels, None)
+        flags, plain = self._flags_of(kwargs), plain_image(self, given)
+        images = checked_images(self, plain)
+        keys, inputs = [DataKey.INPUT], [images]
+        if labels is not None:
+            keys, inputs = [*keys, _KEYS[self.reads_labels or ""]], [images, labels]
+        with nullcontext() if params is None else replaying(op, params):
+            if flags is self.flags and list_plan(self) is not None:
+                context = CallContext.of_module(op, seed, generator)
+                if labels is not None:
+                    context = context._replace(labels=CallLabels(keys, inputs, None, largest_shape(images), True))
+                child = Child(op, self, params)
+                y, *_ = execute_list(images, child, context)
+                execution = child.record
+            else:
+                call = functools.partial(self._call_part, flags)
+                (y, *_), parts = call_in_parts([self], keys, inputs, params, seed, generator, call)
+                execution = Execution(parts.shape)
+                execution.of_list = parts
         self._execution = execution
-        y = y if images is given else wrap(y, given)
+        y = y if plain is given else wrap(y, given)
         returns = self.return_transform if return_transform is None else return_transform
         return with_matrix(y, None, self._matrix(execution).to(images[0].device) if returns else None)
+
+    def _call_part(
+        self, flags: dict[str, Any], inputs: Sequence[Any], params: Any, seed: Seed, generator: Generator | None
+    ) -> tuple[list[Tensor], Execution]:
+        """The results of images of one size, and what was done."""
+        x, *labels = inputs
+        if params is not None:
+            execution = self._execution = self._from_params(params, x)
+            return [self._run(x, execution, flags)], execution
+        read = self._labels_of_call({self.reads_labels or "": labels[0]}, x) if labels else None
+        y, execution = self._draw_and_run(x, seed, generator, flags, read)
+        return [y], execution
 
     def _each_part(self, output: Any, params: Params | None, call: Callable[[Self, Tensor], Any]) -> Any:
         """What a call makes of the results of a list, as a list; None if the last call, or that of params, was on a batch."""
         last = self._execution
-        if params is None and last is not None and last.is_of_list:
-            params = last.params
-        shapes = None if params is None else params.get("forward_input_shape")
-        if not isinstance(shapes, Tensor) or shapes.dim() != 2:
+        if params is None and last is not None:
+            params = last.params if last.of_list is None else self._read_params(last)
+        shapes = None if params is None else shapes_of_images(params)
+        if shapes is None:
             return None
-        return call_each_image(self, output, params or {}, call)
+        parts = None if last is None or last.params is not params else last.of_list
+        if not isinstance(parts, Parts):
+            parts = Parts.of_params(type(self).__name__, params, shapes, output, self._execution_of_part)
+        return parts.each_result(self, output, call)
+
+    def _execution_of_part(self, like: Tensor, shape: Shape, params: Any) -> Execution:
+        return self._execution_on(like.expand(shape), params, self.flags)
 
     def _labels_of_call(self, kwargs: dict[str, Any], x: Tensor) -> Any:
         """What a draw reads of the labels among the arguments of a call, which are taken out of them."""
@@ -180,7 +221,6 @@ class AugmentationBase(Executor, keeps_contract=True):
     def _params(self, params: Params) -> None:
         shape = params["forward_input_shape"]
         self._execution = Execution(tuple((shape if shape.dim() == 1 else shape.amax(0)).tolist()), params=params)
-        self._execution.is_of_list = shape.dim() == 2
 
     @property
     def transform_matrix(self) -> Tensor | None:
@@ -248,7 +288,25 @@ class AugmentationBase(Executor, keeps_contract=True):
             Images of the size that the input had, of a list a list; 0 where the result has no data of them. Predictions of another
             size than the results give one that is smaller or larger by the same ratio.
         """
-        return output
+        if type(self).inverse_images is AugmentationBase.inverse_images:  # pixels keep their positions
+            return output
+        of_list = self._each_part(output, params, lambda own, x: own.inverse(x, **kwargs))
+        if of_list is not None:
+            return of_list
+        flags, x = self._flags_of(kwargs), self.transform_tensor(output)
+        call = self._execution_of(params, x, flags)
+        if call is None:
+            raise RuntimeError(f"{type(self).__name__}.inverse: there was no call yet; pass its params")
+        if not call.applied:
+            return output
+        y = inverse_at(
+            x, self._size_of(call, flags), functools.partial(self.inverse_images, execution=call, flags=flags)
+        )
+        return self._restored(y, output)
+
+    def _size_of(self, execution: Execution, flags: dict[str, Any]) -> Sequence[int]:
+        """The size of the results of an execution."""
+        return self.output_shape(execution.shape, flags)[2:]
 
     def known_pixels(self, output: Tensor, params: Params | None = None) -> Tensor:
         """Which pixels of the images :meth:`inverse` finds in a result; the others were lost in the call, or in part.
@@ -276,14 +334,6 @@ class AugmentationBase(Executor, keeps_contract=True):
         """A result of the type of the input, and with as many axes if `keepdim` is True."""
         y = in_type_of(y, input)
         return without_added_axes(y, input) if self.keepdim else y
-
-    def _call_to_invert(self, output: Tensor, params: Params | None, flags: dict[str, Any]) -> tuple[Tensor, Execution]:
-        """Results as a batch, and the call that they came from: the last one, or that of given parameters."""
-        x = self.transform_tensor(output)
-        execution = self._execution_of(params, x, flags)
-        if execution is None:
-            raise RuntimeError(f"{type(self).__name__}.inverse: there was no call yet; pass its params")
-        return x, execution
 
     def _execution_of(self, params: Params | None, x: Tensor, flags: dict[str, Any]) -> Execution | None:
         """The last execution, or that of given parameters, whose matrices are on the device of x."""

@@ -17,7 +17,7 @@ from kvision.augmentation.engine.call_labels import CallLabels
 from kvision.augmentation.engine.image_sequential import ImageSequential, ParamItem
 from kvision.augmentation.engine.label_moves import move_boxes_back
 from kvision.augmentation.engine.label_record import LabelRecord
-from kvision.augmentation.engine.list_calls import ListRecord, Part, join, with_call
+from kvision.augmentation.engine.list_calls import Parts
 from kvision.augmentation.engine.record import Record
 from kvision.augmentation.engine.stages import (
     Chain,
@@ -217,14 +217,7 @@ class AugmentationSequential(ImageSequential):
         if output_type != "pt":
             check_output_type(self, output_type)
         before = None
-        entries = self._sample(args, data_keys)
-        if entries is None:
-            keys, values = self._keys_of(args, data_keys), list(args)
-        else:
-            keys, values = entries.keys, entries.values
-        given = values if holds_tv_tensors(values) else None
-        if given is not None:
-            keys, values = as_tensors(self, keys, values, entries is not None)
+        entries, given, keys, values = self._inputs_of(args, data_keys)
         image = keys.index(DataKey.INPUT) if DataKey.INPUT in keys else None
         source = values[image] if image is not None and isinstance(values[image], Frames) else None
         if source is not None and image is not None:
@@ -246,6 +239,24 @@ class AugmentationSequential(ImageSequential):
             outputs[image] = self._with_matrix(outputs[image], before, return_transform, record)
         if output_type != "pt":
             outputs = [as_output_type(output, output_type, key) for output, key in zip(outputs, keys)]
+        return self._as_arguments(entries, outputs)
+
+    def _inputs_of(
+        self, args: Sequence[Any], data_keys: DataKeys | None, is_inverse: bool = False
+    ) -> tuple[Entries | Sample | None, list[Any] | None, list[DataKey], list[Any]]:
+        """What follows the images, and what they are, with the entries and the tv_tensors that they come from, if they do."""
+        entries = self._sample(args, data_keys)
+        if entries is not None:
+            keys, values = entries.keys, entries.values
+        else:
+            keys, values = self._keys_of(args, data_keys, is_inverse), list(args)
+        if not holds_tv_tensors(values):
+            return entries, None, keys, values
+        return entries, values, *as_tensors(self, keys, values, entries is not None)
+
+    @staticmethod
+    def _as_arguments(entries: Entries | Sample | None, outputs: list[Any]) -> Any:
+        """Results in the form in which the arguments were given."""
         if entries is not None:
             return entries.merged(outputs)
         return outputs[0] if len(outputs) == 1 else outputs
@@ -274,10 +285,12 @@ class AugmentationSequential(ImageSequential):
             return None
         return parse_entries(op, args[0], self._names, self, self._warned)
 
-    def _keys_of(self, args: Sequence[Any], data_keys: DataKeys | None) -> list[DataKey]:
-        """The keys of arguments: those of the call, or else of the constructor."""
+    def _keys_of(self, args: Sequence[Any], data_keys: DataKeys | None, is_inverse: bool) -> list[DataKey]:
+        """The keys of arguments: those of the call, or else of the constructor; the inverse may have some of its inputs."""
         op = "AugmentationSequential"
         keys = self.data_keys if data_keys is None else labels.parse_data_keys(op, data_keys)
+        if is_inverse:
+            return keys or [DataKey.INPUT]
         if keys is None:
             raise ValueCheckError(f"{op}: without data_keys, expected one dict")
         if len(keys) != len(args):
@@ -319,10 +332,9 @@ class AugmentationSequential(ImageSequential):
             shape = tuple(x.shape) if isinstance(x, Tensor) else largest_shape(x)
             call_labels = CallLabels(keys, inputs, self._label_settings, shape, not isinstance(x, Tensor))
         time = 0 if videos is None else videos.sizes[1]
-        context = self._context(seed, generator, time, len(keys) > 1, call_labels, source)
-        y, record = self._execute(x, params, context)
+        y, record = self._execute(x, params, self._context(seed, generator, time, call_labels, source))
         record.size, record.videos = tuple(y.shape[2:]), videos
-        if len(keys) > 1:
+        if call_labels is not None:
             record.labels = LabelRecord(self._label_settings, record.shape, record.size)
             outputs = record.labels.move(keys, inputs, record.stages)
             for i, (key, value) in enumerate(zip(keys, inputs)):
@@ -340,25 +352,16 @@ class AugmentationSequential(ImageSequential):
         """Labels without their images, moved by the last call or by given parameters."""
         parts = self._parts_of(params)
         if parts is not None:
-            return self._move_parts(keys, inputs, parts)
+            views = zip(parts.views(self), parts.rows)
+            each = [view._move_alone(keys, parts.inputs(rows, keys, inputs), None) for view, rows in views]
+            moved = Parts(parts.op, parts.rows, [record for _, record in each])
+            return parts.outputs(keys, inputs, [outputs for outputs, _ in each]), Record.of_parts(moved)
         last, record = self._record, self._record_of(_no_image(), params)
         inputs, restore = as_frames(last.videos, keys, inputs)
         moves = LabelRecord(self._label_settings, record.shape, record.size)
         outputs = moves.move(keys, inputs, record.stages)
         record.stages.forget()
         return as_videos(last.videos, outputs, restore), last.replaced(labels=moves)
-
-    def _move_parts(
-        self, keys: list[DataKey], inputs: list[Any], parts: Sequence[Part]
-    ) -> tuple[list[Any], ListRecord]:
-        """Labels of the images of a list without these."""
-        count, each, moved = sum(len(part.rows) for part in parts), [], []
-        for part in parts:
-            own = self._of_rows(keys, inputs, part.rows, count)
-            outputs, record = with_call(self, "_record", part.call)._move_alone(keys, own, None)
-            each.append(outputs)
-            moved.append(Part(part.rows, record))
-        return self._join_parts(keys, inputs, parts, each, False), ListRecord(moved, count)
 
     @property
     def _label_settings(self) -> LabelSettings:
@@ -385,9 +388,9 @@ class AugmentationSequential(ImageSequential):
     @property
     def kept_boxes(self) -> list[Any]:
         """Which boxes of the last call passed the filter: bool (B, N), or a list of (N,), for each input; empty without one."""
-        if isinstance(self._record, ListRecord):
-            return self._labels_of_parts(self._record, "kept_boxes")
         record = self._record
+        if record.parts is not None:
+            return [record.parts.join(each) for each in zip(*(view.kept_boxes for view in record.parts.views(self)))]
         kept = [] if record.labels is None else record.labels.kept_boxes
         return [] if self.box_filter.does_nothing and not kept else labels_as_videos(record.videos, kept)
 
@@ -397,15 +400,13 @@ class AugmentationSequential(ImageSequential):
 
         Points outside of the result are not visible, nor are those that were outside of one before it.
         """
-        if isinstance(self._record, ListRecord):
-            return self._labels_of_parts(self._record, "visible_points")
         record = self._record
+        if record.parts is not None:
+            return [
+                record.parts.join(each) for each in zip(*(view.visible_points for view in record.parts.views(self)))
+            ]
         visible = [] if record.labels is None else record.labels.visible_points()
         return labels_as_videos(record.videos, visible)
-
-    def _labels_of_parts(self, record: ListRecord, name: str) -> list[Any]:
-        each = [getattr(with_call(self, "_record", part.call), name) for part in record.parts]
-        return [join(record.parts, values, record.count) for values in zip(*each)]
 
     def inverse(
         self,
@@ -423,30 +424,17 @@ class AugmentationSequential(ImageSequential):
         Returns:
             What was given, moved back to the images before the call; one tensor for one key, else a list or a dict.
         """
-        entries = self._sample(args, data_keys)
-        if entries is not None:
-            keys, values = entries.keys, entries.values
-        else:
-            known = self.data_keys if data_keys is None else labels.parse_data_keys("AugmentationSequential", data_keys)
-            keys, values = known or [DataKey.INPUT], list(args)
-        given = values if holds_tv_tensors(values) else None
-        if given is not None:
-            keys, values = as_tensors(self, keys, values, entries is not None)
+        entries, given, keys, values = self._inputs_of(args, data_keys, is_inverse=True)
         outputs = self._invert_all(keys, values, params)
-        if given is not None:
-            outputs = as_given(outputs, given, keys)
-        if entries is not None:
-            return entries.merged(outputs)
-        return outputs[0] if len(outputs) == 1 else outputs
+        outputs = outputs if given is None else as_given(outputs, given, keys)
+        return self._as_arguments(entries, outputs)
 
     def _invert_all(self, keys: list[DataKey], inputs: list[Any], params: Any) -> list[Any]:
         parts = self._parts_of(params, inputs[keys.index(DataKey.INPUT)] if DataKey.INPUT in keys else None)
         if parts is not None:
-            count, each = sum(len(part.rows) for part in parts), []
-            for part in parts:
-                own = self._of_rows(keys, inputs, part.rows, count)
-                each.append(with_call(self, "_record", part.call)._invert_all(keys, own, None))
-            return self._join_parts(keys, inputs, parts, each, False)
+            views = zip(parts.views(self), parts.rows)
+            each = [view._invert_all(keys, parts.inputs(rows, keys, inputs), None) for view, rows in views]
+            return parts.outputs(keys, inputs, each)
         videos = self._record.videos
         if DataKey.INPUT in keys:
             videos = self._video_layout(inputs[keys.index(DataKey.INPUT)])

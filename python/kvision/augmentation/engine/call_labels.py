@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -17,53 +17,31 @@ from kvision.constants import DataKey
 Size = tuple[int, ...]
 
 
-class CallLabels:
-    """The labels of a call with the stages that its images have been through.
+class CallLabels(NamedTuple):
+    """The labels of a call with the stages that its images have been through."""
 
-    Args:
-        keys: what the values are.
-        values: images and labels as the call has them.
-        settings: those of the container.
-        images: the shape (B, C, H, W) of the images; of a list of images the largest one.
-        is_list: the call has a list of images.
-        stages: what has been done to the images in the container.
-        outer: in a part of the call, such as a container that is a child, the labels before it.
-        wrap: gives what outer labels follow, of the stages of the part.
-        rows: the samples of the outer batch that the part is about; None for all.
-    """
-
-    def __init__(
-        self,
-        keys: Sequence[DataKey],
-        values: Sequence[Any],
-        settings: LabelSettings | None,
-        images: Size,
-        is_list: bool = False,
-        stages: Sequence[Stage] = (),
-        outer: CallLabels | None = None,
-        wrap: Callable[[list[Stage]], Stage] | None = None,
-        rows: Sequence[int] | None = None,
-    ) -> None:
-        self.keys, self.values, self.settings, self.images = keys, values, settings, images
-        self.is_list, self.stages, self.outer, self.wrap, self.rows = is_list, stages, outer, wrap, rows
+    keys: Sequence[DataKey]  # what the values are
+    values: Sequence[Any]  # images and labels as the call has them
+    settings: LabelSettings | None  # those of the container
+    images: Size  # the shape (B, C, H, W) of the images; of a list of images the largest one
+    is_list: bool = False  # the call has a list of images
+    stages: Sequence[Stage] = ()  # what has been done to the images in the container
+    outer: CallLabels | None = None  # in a part of the call, such as a container that is a child, the labels before it
+    wrap: Callable[[list[Stage]], Stage] | None = None  # gives what outer labels follow, of the stages of the part
+    rows: Sequence[int] | None = None  # the samples of the outer batch that the part is about; None for all
 
     def after(self, stages: Sequence[Stage]) -> CallLabels:
         """The labels after further stages."""
-        if not stages:
-            return self
-        return self._with([*self.stages, *stages], self.outer, self.wrap, self.rows)
+        return self._replace(stages=[*self.stages, *stages]) if stages else self
 
     def inside(self, settings: LabelSettings | None) -> CallLabels:
         """The labels in a container that is the next child, with its settings."""
         own = _of_steps(settings)
-        return self._with((), self, lambda stages: Nested(stages, own))
+        return self.of_samples(lambda stages: Nested(stages, own), None)
 
-    def of_samples(self, wrap: Callable[[list[Stage]], Stage], rows: Sequence[int]) -> CallLabels:
+    def of_samples(self, wrap: Callable[[list[Stage]], Stage], rows: Sequence[int] | None) -> CallLabels:
         """The labels of some samples, to which stages happen that are one stage of the whole batch by `wrap`."""
-        return self._with((), self, wrap, rows)
-
-    def _with(self, stages: Sequence[Stage], *part: Any) -> CallLabels:
-        return CallLabels(self.keys, self.values, self.settings, self.images, self.is_list, stages, *part)
+        return self._replace(stages=(), outer=self, wrap=wrap, rows=rows)
 
     def read(self, kind: str, shape: Size, frames: int = 1) -> Any:
         """What a draw reads: `boxes` or `masks` of the images, now of a shape; those of `frames` neighbors together."""

@@ -6,16 +6,15 @@ from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import torch
-from torch import Generator, Tensor, nn
+from torch import Generator, nn
 
 from kvision import _check
 from kvision.augmentation.columns import DrawPlan, plan_draws
 from kvision.augmentation.draws import Draw, Request, uniform
+from kvision.augmentation.engine.call_context import CallContext
 from kvision.augmentation.engine.image_sequential import ImageSequential, ParamItem
 from kvision.augmentation.engine.list_calls import Sizes, sizes_after
-from kvision.augmentation.engine.record import Child
-from kvision.augmentation.engine.runs import CallContext
-from kvision.augmentation.engine.turns import Turn, turns_of
+from kvision.augmentation.engine.turns import Turn
 from kvision.augmentation.keys import check_seeds, draw_keys, refuse_capture, refuse_graphs, refuse_mapped
 from kvision.core.exceptions import TypeCheckError, ValueCheckError
 
@@ -100,28 +99,25 @@ class ChoiceBase(ImageSequential):
 
     # --- a call ---
 
-    def _in_turns(
-        self, x: Tensor, params: Sequence[ParamItem] | None, context: CallContext
-    ) -> tuple[list[Turn], CallContext]:
+    def _chooses_for_samples(self, context: CallContext) -> bool:
+        return True
+
+    def _in_turns(self, x: Any, params: Sequence[Any] | None, context: CallContext) -> tuple[list[Turn], CallContext]:
         if params is not None:
-            children = self._children_of_call(params, context)
-            turns = self._turns_of_params(children, len(x))
+            turns = self._turns_of_params(self._children_of_call(params, context), len(x))
             return turns, context._replace(is_certain=False)
         if context.frames == 1 and context.time:  # frames with parameters of their own are samples
             context = context._replace(seed=context.seed_of_samples, time=0)
-        sequences = self._sequences(len(x) // context.frames, context)
-        units = self._units([Child(name, module) for name, module in self.named_children()])
-        turns = turns_of(units, sequences, context.frames, context.position)
-        return self._joined(turns, tuple(x.shape), context.position), context._replace(
-            is_certain=self.children_are_certain
-        )
+        in_turns = super()._in_turns(x, None, context)
+        assert in_turns is not None
+        turns = self._joined(in_turns[0], tuple(x.shape), context.position)
+        return turns, context._replace(is_certain=self.children_are_certain)
 
     def _joined(self, turns: list[Turn], shape: tuple[int, ...], position: int) -> list[Turn]:
         """The turns of a call on images of a shape, with those in one that are one pass."""
         return turns
 
-    def _sequences(self, samples: int, context: CallContext) -> list[tuple[int, ...]]:
-        """The numbers of the units of each sample."""
+    def _sequences_of_samples(self, context: CallContext, samples: int) -> Sequence[Sequence[int]]:
         op = type(self).__name__
         refuse_graphs(op)
         refuse_capture(op)
@@ -129,20 +125,16 @@ class ChoiceBase(ImageSequential):
         refuse_mapped(op, keys.keys if keys.seeds is None else keys.seeds)
         check_seeds(op, keys, samples)
         keys = keys.cpu()
-        plan = self._draw_plan(keys.has_seed, context.position + _CHOICE)
+        position = context.position + _CHOICE if keys.has_seed else 0
+        plan = self._plans.made(("choice", keys.has_seed, position), lambda: self._draw_plan(keys.has_seed, position))
         rows = plan.draw(torch.empty(samples, device="cpu"), keys).tolist()
         p = 1.0 if context.is_certain else self.p
         sequences = self._sequences_of(rows)
         return sequences if p == 1 else [own if row[0] < p else () for own, row in zip(sequences, rows)]
 
     def _draw_plan(self, has_seed: bool, position: int) -> DrawPlan:
-        key = ("choice", has_seed, position)
-        plan: DrawPlan | None = self._plans.get(key)
-        if plan is None:
-            request = Request([uniform(0.0, 1.0), *self._draws()], same_on_batch=bool(self.same_on_batch))
-            (plan,) = plan_draws([request], has_seed, position if has_seed else 0)
-            self._plans.keep(key, plan)
-        return plan
+        request = Request([uniform(0.0, 1.0), *self._draws()], same_on_batch=bool(self.same_on_batch))
+        return plan_draws([request], has_seed, position)[0]
 
     def _inside(self, context: CallContext) -> CallContext:
         return super()._inside(context)._replace(is_certain=context.is_certain)

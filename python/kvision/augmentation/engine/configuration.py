@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
 from typing import Any
 
 import torch
@@ -43,6 +43,14 @@ class Plans:
         if self._count != _Changes.count or len(self._plans) >= _MOST:
             self._plans, self._count = {}, _Changes.count
         self._plans[key] = plan
+
+    def made(self, key: Hashable, make: Callable[[], Any]) -> Any:
+        """The plan of a key, None among them, which `make` makes where there is none."""
+        kept = self.get(key)
+        if kept is None:
+            kept = (make(),)
+            self.keep(key, kept)
+        return kept[0]
 
     def __reduce__(self) -> Any:
         return Plans, ()

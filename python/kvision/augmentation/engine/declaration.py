@@ -27,7 +27,7 @@ from kvision.augmentation.engine.configuration import SWITCHES, Flags, Plans, po
 from kvision.augmentation.engine.contribution import Colors, Contribution
 from kvision.augmentation.engine.execution import Params, Shape
 from kvision.augmentation.transforms import Transform
-from kvision.augmentation.warp_and_color import ColorPart, Pass, make_pass
+from kvision.augmentation.warp_and_color import ColorPart
 from kvision.core.exceptions import TypeCheckError
 
 if TYPE_CHECKING:
@@ -313,17 +313,6 @@ class Declaration(KeepsArguments):
     def _declared(self, shape: Shape, flags: dict[str, Any]) -> Contribution:
         """The contribution of the class for images of a shape: none to a pass, unless a subclass says more."""
         return Contribution()
-
-    def _pass(
-        self, shape: Shape, span: Span | None, flags: dict[str, Any], constants: Mapping[str, float]
-    ) -> Pass | None:
-        """The pass that executes this augmentation by columns instead of parameters by name; None if there is no such pass."""
-        motion, colors, _ = self._contribution(shape, flags) or Contribution()
-        if colors is not None:
-            return make_pass(None, parts=[self._color_part(colors, span, constants)])
-        if motion is not None and motion.chain is not None and motion.reads_by_matrix:
-            return make_pass(self._bound(motion.chain, span), motion.size, motion.resampling)
-        return None
 
     def _executes_columns(self, shape: Shape) -> bool:
         """Whether this augmentation is executed from columns, without parameters by name."""

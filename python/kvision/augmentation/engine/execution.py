@@ -55,7 +55,7 @@ class Execution:
 
     matrix: Tensor | None = None
     identity: tuple[torch.device, torch.dtype] | None = None  # `matrix_type` of matrices that are made when read
-    is_of_list = False  # of images of different sizes
+    of_list: Any = None  # of images of different sizes: what has `params` and `matrix` of them
     keeps_map = False  # for labels of the same call
     map: Tensor | None = None  # of a deformation, kept by `keeps_map`
     found: Params | None = None  # parameters by name that labels gave

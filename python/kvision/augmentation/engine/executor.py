@@ -13,6 +13,7 @@ from kvision._ops import match_layout
 from kvision.augmentation.columns import Columns, DrawPlan, Span, draw_columns, plan_draws
 from kvision.augmentation.drawn_pass import DrawnPass
 from kvision.augmentation.draws import Request, is_chosen_batch
+from kvision.augmentation.engine.contribution import Contribution
 from kvision.augmentation.engine.declaration import Declaration, size_of
 from kvision.augmentation.engine.execution import (
     Execution,
@@ -25,7 +26,7 @@ from kvision.augmentation.engine.execution import (
 from kvision.augmentation.keys import Keys, Seed, check_seeds, draw_keys
 from kvision.augmentation.noise import PixelNoise
 from kvision.augmentation.samples import where_chosen
-from kvision.augmentation.warp_and_color import Pass
+from kvision.augmentation.warp_and_color import Pass, make_pass
 
 
 class CallPlan(NamedTuple):
@@ -101,36 +102,40 @@ class Executor(Declaration):
 
     def _read_params(self, execution: Execution) -> Params:
         if execution.params is None:
-            device, dtype = self._rng
-            shape, columns = execution.shape, execution.columns
-            chosen = torch.full((shape[0],), float(execution.applied), device="cpu")
-            request = self._request(shape, execution.is_certain)
-            redraw = execution.redraw
-            if request is not None and redraw is not None and columns is not None and columns.drawn.is_cuda:
-                redraw = (redraw[0].cpu(), redraw[1])
-                columns = self._drawn_again(request, shape[0] // execution.frames, *redraw)
-                if execution.frames > 1:
-                    columns = columns._replace(drawn=columns.drawn.repeat_interleave(execution.frames, 0))
-            params: Params = {}
-            if columns is not None:
-                if columns.chosen is not None:
-                    chosen = columns.chosen.detach().cpu() * chosen
-                values = columns.values.detach()
-            else:  # nothing was drawn, as at p = 0: what stands for samples that are not chosen
-                values = self._identity_columns(shape)
-            if self._param_generator is not None and not self._draws_by_name:
-                params = self._named(values, execution)
-                if self._param_generator.per_pixel:
-                    redraw = redraw or (draw_keys(type(self).__name__, 1, values.device, 0, None), 0)
-                    noise = PixelNoise(*redraw, self.same_on_batch, values.device)
-                    params.update(self._pixel_params(values, execution, noise))
-            params["batch_prob"] = chosen
-            params["forward_input_shape"] = torch.tensor(shape, device="cpu")
-            execution.params = {
-                name: x.to(device, dtype if x.is_floating_point() else None) if isinstance(x, Tensor) else x
-                for name, x in params.items()
-            }
+            of_list = execution.of_list
+            found = self._find_params(execution) if of_list is None else of_list.params(self._read_params)
+            execution.params = found
         return execution.params
+
+    def _find_params(self, execution: Execution) -> Params:
+        """The parameters that a call has drawn."""
+        device, dtype = self._rng
+        shape, columns = execution.shape, execution.columns
+        chosen = torch.full((shape[0],), float(execution.applied), device="cpu")
+        request = self._request(shape, execution.is_certain)
+        redraw = execution.redraw
+        if request is not None and redraw is not None and columns is not None and columns.drawn.is_cuda:
+            redraw = (redraw[0].cpu(), redraw[1])
+            columns = self._drawn_again(request, execution, *redraw)
+        params: Params = {}
+        if columns is not None:
+            if columns.chosen is not None:
+                chosen = columns.chosen.detach().cpu() * chosen
+            values = columns.values.detach()
+        else:  # nothing was drawn, as at p = 0: what stands for samples that are not chosen
+            values = self._identity_columns(shape)
+        if self._param_generator is not None and not self._draws_by_name:
+            params = self._named(values, execution)
+            if self._param_generator.per_pixel:
+                redraw = redraw or (draw_keys(type(self).__name__, 1, values.device, 0, None), 0)
+                noise = PixelNoise(*redraw, self.same_on_batch, values.device)
+                params.update(self._pixel_params(values, execution, noise))
+        params["batch_prob"] = chosen
+        params["forward_input_shape"] = torch.tensor(shape, device="cpu")
+        return {
+            name: x.to(device, dtype if x.is_floating_point() else None) if isinstance(x, Tensor) else x
+            for name, x in params.items()
+        }
 
     def _named(self, values: Tensor, execution: Execution) -> Params:
         """Parameters by name from their columns (B, P)."""
@@ -150,15 +155,15 @@ class Executor(Declaration):
         assert request is not None and execution.redraw is not None
         keys, index = execution.redraw
         keys.on_host(type(self).__name__)  # which raises where it cannot be read
-        frames = execution.frames
-        values = self._drawn_again(request, execution.shape[0] // frames, keys.cpu(), index).values
-        return values.repeat_interleave(frames, 0) if frames > 1 else values
+        return self._drawn_again(request, execution, keys.cpu(), index).values
 
     @staticmethod
-    def _drawn_again(request: Request, samples: int, keys: Keys, index: int) -> Columns:
+    def _drawn_again(request: Request, execution: Execution, keys: Keys, index: int) -> Columns:
         """The columns of a request on the host, which are the same numbers and wait for nothing but keys on the device."""
-        (columns,) = draw_columns(torch.empty(samples, device="cpu"), keys, [request], index)
-        return columns
+        frames = execution.frames
+        images = torch.empty(execution.shape[0] // frames, device="cpu")
+        (columns,) = draw_columns(images, keys, [request], index)
+        return columns if frames == 1 else columns._replace(drawn=columns.drawn.repeat_interleave(frames, 0))
 
     def _params_on_device(self, x: Tensor, execution: Execution, for_users: bool = True) -> Params:
         if execution.params is not None:
@@ -261,7 +266,9 @@ class Executor(Declaration):
             applied = not decides and self._applies(None, 0)
             span = None if draws is None else draws.spans[0]
             # Derived columns do not follow from the draws alone, so that no pass is planned with these.
-            image_pass = self._pass_of(x.dtype, shape, span, self.flags) if applied and not self._derives else None
+            image_pass = None
+            if applied and not self._derives:
+                image_pass = self._pass_of(x.dtype, shape, span, self.flags, self._constants(shape, None))
             drawn = None if image_pass is None or draws is None else DrawnPass(draws, image_pass, shape, x.dtype)
             plan = CallPlan(shape, draws, self._is_certain, image_pass, drawn)
             if draws is None or draws.learned is None:
@@ -274,25 +281,29 @@ class Executor(Declaration):
         shape: Shape,
         span: Span | None,
         flags: dict[str, Any],
-        constants: Mapping[str, float] | None = None,
+        constants: Mapping[str, float],
     ) -> Pass | None:
-        """The pass that executes this augmentation by columns on images of a type."""
-        constants = self._constants(shape, None) if constants is None else constants
-        image_pass, result = self._pass(shape, span, flags, constants), self._result_dtype(dtype)
-        return image_pass if image_pass is None or result == dtype else image_pass.giving(result)
+        """The pass that executes this augmentation by columns on images of a type; None if there is no such pass."""
+        motion, colors, _ = self._contribution(shape, flags) or Contribution()
+        if colors is not None:
+            image_pass = make_pass(None, parts=[self._color_part(colors, span, constants)])
+        elif motion is not None and motion.chain is not None and motion.reads_by_matrix:
+            image_pass = make_pass(self._bound(motion.chain, span), motion.size, motion.resampling)
+        else:
+            return None
+        result = self._result_dtype(dtype)
+        return image_pass if result == dtype else image_pass.giving(result)
 
     def _kept_pass(self, dtype: torch.dtype, execution: Execution, flags: dict[str, Any]) -> Pass | None:
         """`_pass_of`, cached for the flags of the constructor."""
         shape, constants = execution.shape, self._constants(execution.shape, execution.params)
         span = None if execution.columns is None else execution.columns.span
+        arguments = (dtype, shape, span, flags, constants)
         if flags is not self.flags:
-            return self._pass_of(dtype, shape, span, flags, constants)
-        key = (dtype, shape, span, *constants)
-        kept: tuple[Pass | None] | None = self._plans.get(key)
-        if kept is None:
-            kept = (self._pass_of(dtype, shape, span, flags, constants),)
-            self._plans.keep(key, kept)
-        return kept[0]
+            return self._pass_of(*arguments)
+        image_pass: Pass | None
+        image_pass = self._plans.made((dtype, shape, span, *constants), lambda: self._pass_of(*arguments))
+        return image_pass
 
     # --- execution ---
 
@@ -366,6 +377,12 @@ class Executor(Declaration):
 
     def _matrix(self, execution: Execution) -> Tensor:
         if execution.matrix is None:
-            identity = self.identity_matrix(execution.shape)
-            execution.matrix = identity if execution.identity is None else identity.to(*execution.identity)
+            of_list = execution.of_list
+            found = self._find_matrix(execution) if of_list is None else of_list.matrix(self._matrix)
+            execution.matrix = found
         return execution.matrix
+
+    def _find_matrix(self, execution: Execution) -> Tensor:
+        """The matrices of a call that has kept none."""
+        identity = self.identity_matrix(execution.shape)
+        return identity if execution.identity is None else identity.to(*execution.identity)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterator, Sequence
+import functools
+from collections.abc import Iterator, Sequence
 from typing import Any, get_args
 
 import torch
 from torch import Generator, Tensor, nn
-from typing_extensions import Self
 
 from kvision import _check
 from kvision._choices import EachOrOnce, OutputType
@@ -16,48 +16,33 @@ from kvision._modules import give_own_forward
 from kvision._ops import FLOATS
 from kvision._tv_tensors import wrap
 from kvision.augmentation.engine.augmentation import AugmentationBase
+from kvision.augmentation.engine.call_context import CallContext
+from kvision.augmentation.engine.call_labels import CallLabels
 from kvision.augmentation.engine.choices import Choices
 from kvision.augmentation.engine.configuration import Plans, portable, settings_changed
 from kvision.augmentation.engine.declaration import KeepsArguments
 from kvision.augmentation.engine.execution import check_batch_of_params, matrix_type
-from kvision.augmentation.engine.list_calls import (
-    SIZES,
-    ListRecord,
-    Part,
-    Sizes,
-    belongs_to_images,
-    each_row,
-    gives_one_size,
-    items_of_rows,
-    join,
-    join_images,
-    join_items,
-    of_rows,
-    part_seed,
-    refuse_list,
-    rows_of_parts,
-    seeds_of_list,
-    shapes_of_images,
-    sizes_after,
-    with_call,
-)
+from kvision.augmentation.engine.list_calls import SIZES, Parts, Sizes, call_in_parts, shapes_of_images, sizes_after
 from kvision.augmentation.engine.lists import list_plan
 from kvision.augmentation.engine.record import Child, ParamItem, Record, child_of, item_of
-from kvision.augmentation.engine.runs import CallContext, execute, images_of
+from kvision.augmentation.engine.runs import execute, images_of
 from kvision.augmentation.engine.stages import (
     KNOWN,
+    ByMatrix,
+    Chain,
     LabelSettings,
     Nested,
     Stage,
-    Warp,
 )
 from kvision.augmentation.engine.turns import SomeSamples, Turn, execute_turns, turns_of
 from kvision.augmentation.inputs import (
     WIDE_INTEGERS,
+    as_batch,
     as_output_type,
-    check_image,
+    check_batch,
     check_matrix,
     check_output_type,
+    checked_images,
     image_and_matrix,
     image_of,
     in_type_of,
@@ -73,11 +58,11 @@ from kvision.augmentation.samples import (
     with_matrix,
     without_added_axes,
 )
-from kvision.augmentation.warp_and_color import SAME, Output, Resampling
+from kvision.augmentation.warp_and_color import SAME, Output
 from kvision.color.frames import Frames
 from kvision.constants import DataKey
-from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
-from kvision.geometry.transform.lists.arguments import check_list, largest_shape
+from kvision.core.exceptions import TypeCheckError, ValueCheckError
+from kvision.geometry.transform.lists.arguments import largest_shape
 
 __all__ = ["ImageSequential", "ImageSequentialBase", "ParamItem"]
 
@@ -316,7 +301,7 @@ class ImageSequential(ImageSequentialBase):
             return False
         return not any(getattr(module, "mixes_samples", False) for module in self.modules())
 
-    def _sequences_of_samples(self, context: CallContext, samples: int) -> list[list[int]]:
+    def _sequences_of_samples(self, context: CallContext, samples: int) -> Sequence[Sequence[int]]:
         """The numbers of the children of each sample, whose seeds the call has."""
         refuse_graphs(context.op)
         check_seeds(context.op, draw_keys(context.op, 1, torch.device("cpu"), context.seed, None), samples)
@@ -353,25 +338,13 @@ class ImageSequential(ImageSequentialBase):
 
     def _call_list(
         self, keys: Sequence[DataKey], inputs: Sequence[Any], params: Any, seed: Seed, generator: Generator | None
-    ) -> tuple[list[Any], ListRecord]:
+    ) -> tuple[list[Any], Record]:
         """The results of a call on a list of images, image by image, and its record."""
-        op, first = type(self).__name__, keys.index(DataKey.INPUT)
-        images = inputs[first]
-        count, modules = len(images), list(self.modules())
-        refuse_list(op, modules)
-        rows_of = rows_of_parts(images, modules, isinstance(seed, Tensor) and seed.dim() == 1)
-        if params is None and len(rows_of) > 1:
-            seed = seeds_of_list(op, modules, count, seed, generator or self.generator)
-        parts, each = [], []
-        for rows in rows_of:
-            own = self._of_rows(keys, inputs, rows, count)
-            replayed = (
-                None if params is None else items_of_rows(checked_items(op, params, self._item_field), rows, count)
-            )
-            outputs, record = self._call_part(keys, own, replayed, *part_seed(seed, generator, rows, count))
-            parts.append(Part(rows, record))
-            each.append(outputs)
-        return self._join_parts(keys, inputs, parts, each, gives_one_size(self)), ListRecord(parts, count)
+        if params is not None:
+            params = list(checked_items(type(self).__name__, params, self._item_field))
+        call = functools.partial(self._call_part, keys)
+        outputs, parts = call_in_parts(list(self.modules()), keys, inputs, params, seed, generator, call)
+        return outputs, Record.of_parts(parts)
 
     def _call_part(
         self, keys: Sequence[DataKey], inputs: list[Any], params: Any, seed: Seed, generator: Generator | None
@@ -381,77 +354,34 @@ class ImageSequential(ImageSequentialBase):
         record.stages.forget()
         return [y], record
 
-    def _of_rows(self, keys: Sequence[DataKey], inputs: Sequence[Any], rows: Sequence[int], count: int) -> list[Any]:
-        """What the inputs of a call on a list are for some of its images."""
-        op = type(self).__name__
-        return [
-            value
-            if key == DataKey.CLASS and not belongs_to_images(value, count)
-            else of_rows(op, key, value, rows, count)
-            for key, value in zip(keys, inputs)
-        ]
-
-    def _join_parts(
-        self, keys: Sequence[DataKey], inputs: Sequence[Any], parts: Sequence[Part], each: Sequence[Any], is_batch: bool
-    ) -> list[Any]:
-        """The results of the parts of a list in its order; images as a batch or a list."""
-        count = sum(len(part.rows) for part in parts)
-        outputs = []
-        for key, value, *results in zip(keys, inputs, *each):
-            if key == DataKey.INPUT:
-                outputs.append(join_images(parts, results, count, is_batch))
-            elif key == DataKey.CLASS and not belongs_to_images(value, count):
-                outputs.append(value)
-            else:
-                outputs.append(join(parts, results, count))
-        return outputs
-
-    def _parts_of(self, params: Sequence[ParamItem] | None, outputs: Any = None) -> Sequence[Part] | None:
+    def _parts_of(self, params: Sequence[ParamItem] | None, outputs: Any = None) -> Parts | None:
         """The parts of the last call, or of given parameters, if it was one on a list; None of others."""
         if params is None:
-            return self._record.parts if isinstance(self._record, ListRecord) else None
+            return self._record.parts
         shapes = shapes_of_images(params)
         if shapes is None and is_image_list(self, outputs):
             shapes = [None] * len(outputs)
         if shapes is None:
             return None
-        parts = []
-        for b, shape in enumerate(shapes):
-            if shape is None:  # of cells, or without a child that ran: results have the size of the images
-                shape = (1, 1, 1) if outputs is None else tuple(outputs[b].shape)
-            device = torch.device("cpu") if outputs is None else outputs[b].device
-            image = torch.zeros(1, device=device).expand(1, *shape)
-            items = items_of_rows(params, [b], len(shapes))
-            parts.append(Part([b], self._execute(image, items, self._context(None, None))[1]))
-        return parts
+        return Parts.of_params(type(self).__name__, list(params), shapes, outputs, self._record_of_part)
+
+    def _record_of_part(self, like: Tensor, shape: tuple[int, ...], params: Any) -> Record:
+        image = torch.zeros(1, device=like.device).expand(shape)
+        return self._execute(image, params, self._context(None, None))[1]
 
     # --- execution ---
 
     def transform_tensor(self, input: Tensor) -> Tensor:
         """The input as a batch, lists as they are: (H, W) and (C, H, W) become (1, C, H, W); integers of 16 bits become float32."""
-        if is_image_list(self, input):
-            images: Any = check_list(type(self).__name__, "input", input)
-            check_image(self, images[0])
-            if images[0].dtype in WIDE_INTEGERS:
-                raise TypeCheckError(
-                    f"{type(self).__name__}: expected a list of images of bytes or floats, got {images[0].dtype}"
-                )
+        if isinstance(input, list) and is_image_list(self, input):
+            images: Any = checked_images(self, input)
             return images
-        check_image(self, input)
         axes: int | None = self._plans.get("axes")
         if axes is None:
             axes = max([3, *(m.axes for m in self.modules() if isinstance(m, AugmentationBase))])
             self._plans.keep("axes", axes)
-        if not axes - 1 <= input.dim() <= axes + 1:
-            raise ShapeError(
-                f"{type(self).__name__}: expected input with {axes - 1} to {axes + 1} axes, got {tuple(input.shape)}"
-            )
-        if not input.numel() and 0 in input.shape[1 - axes :]:
-            raise ShapeError(f"{type(self).__name__}: expected input with pixels, got {tuple(input.shape)}")
-        input = input.float() if input.dtype in WIDE_INTEGERS else input
-        while input.dim() < axes + 1:
-            input = input[None]
-        return input
+        check_batch(self, input, axes)
+        return as_batch(input, axes)
 
     def _children_of_call(self, params: Sequence[ParamItem] | None, context: CallContext) -> list[Child]:
         if params is not None:
@@ -476,19 +406,19 @@ class ImageSequential(ImageSequentialBase):
             children = self._children_of_call(params, context)
             y, stages = execute(x, children, context)
         shape = tuple(x.shape) if isinstance(x, Tensor) else largest_shape(x)
-        record = Record(shape, children, stages)
+        record = Record(shape, children, Chain(stages))
         record.size, record.is_of_list = tuple(y.shape[2:]), isinstance(x, list)
         record.identity = matrix_type(y)
         return y, record
 
     def _in_turns(
-        self, x: Tensor, params: Sequence[ParamItem] | None, context: CallContext
+        self, x: Any, params: Sequence[Any] | None, context: CallContext
     ) -> tuple[list[Turn], CallContext] | None:
         """The turns of a call in which samples have children of their own, and their context; None where all have the same."""
         if params is not None:
             children = self._children_of_call(params, context)
             turns = self._turns_of_params(children, len(x))
-            return (turns, context) if turns and any(child.samples is not None for child in children) else None
+            return (turns, context) if any(child.samples is not None for child in children) else None
         if not self._chooses_for_samples(context):
             return None
         frames = max(context.time, context.frames, 1)
@@ -532,13 +462,18 @@ class ImageSequential(ImageSequentialBase):
         seed: Seed,
         generator: Generator | None,
         time: int = 0,
-        has_labels: bool = False,
-        labels: Any = None,
+        labels: CallLabels | None = None,
         source: Frames | None = None,
     ) -> CallContext:
-        op, once, own = type(self).__name__, self.resample == "once", self.generator
-        context = CallContext(op, seed, generator, once, self._plans, self._output, 1, 0, time, has_labels, labels, own)
-        return context if source is None else context._replace(source=source)
+        op, once, plans, own = type(self).__name__, self.resample == "once", self._plans, self.generator
+        has_labels = labels is not None
+        context = CallContext(op, seed, generator, once, plans, self._output, 1, 0, time, has_labels, labels, own)
+        context = context if source is None else context._replace(source=source)
+        return self._of_frames(context) if time else context
+
+    def _of_frames(self, context: CallContext) -> CallContext:
+        """The context of frames of videos, which may share their parameters."""
+        return context
 
     @property
     def _params(self) -> list[ParamItem]:
@@ -551,11 +486,9 @@ class ImageSequential(ImageSequentialBase):
 
     def _read_params(self, record: Record) -> list[Any]:
         """The parameters of a call by name."""
-        if record.items is None and isinstance(record, ListRecord):
-            each = [self._read_params(part.call) for part in record.parts]
-            record.items = join_items(record.parts, each, record.count)
-        elif record.items is None:
-            record.items = self._items(record)
+        if record.items is None:
+            items = self._items(record) if record.parts is None else record.parts.params(self._read_params)
+            record.items = items
         return record.items
 
     def _items(self, record: Record) -> list[Any]:
@@ -600,7 +533,7 @@ class ImageSequential(ImageSequentialBase):
             check_output_type(self, output_type)
         source = input if isinstance(input, Frames) and self._reads_frames else None
         if isinstance(input, Frames):
-            input = input.rgb() if source is None else source._like()
+            input = input.rgb() if source is None else self._like(source)
         given, before = (input, None) if isinstance(input, Tensor) else image_and_matrix(self, image_of(self, input))
         image = plain_image(self, given)
         x = self.transform_tensor(image)
@@ -609,9 +542,9 @@ class ImageSequential(ImageSequentialBase):
         if isinstance(x, list) and not self._reads_lists:
             (y,), record = self._call_list([DataKey.INPUT], [x], params, seed, generator)
         else:
-            y, record = self._execute(x, params, self._context(seed, generator, source=source))
+            y, record = self._execute(x, params, self._context(seed, generator, self._time(image), source=source))
             record.stages.forget()
-        self._keep(record)
+        self.__dict__["_record"] = record  # as `_keep`, without a call
         y = self._restored(y, image)
         output = self._with_matrix(y if image is given else wrap(y, given), before, return_transform, record)
         return output if output_type == "pt" else as_output_type(output, output_type)
@@ -633,19 +566,31 @@ class ImageSequential(ImageSequentialBase):
             inner = [m for m in self.modules() if m is not self and isinstance(m, ImageSequential)]
             returns = any(m.return_transform for m in inner)
             self._plans.keep("returns", returns)
-        if isinstance(record, ListRecord):
-            return _matrix_of_parts(record, self._matrix_of_inner)
+        if record.parts is not None:
+            return record.parts.matrix(self._matrix_of_inner)
         if not returns or record.shape is None:
             return None
-        matrix = identity_of(record)
+        matrix = record.identity_matrix()
         for child in record.children:
             module = child.module
             if isinstance(module, ImageSequential) and module.return_transform is not False:
                 own = module._matrix(child.record) if module.return_transform else module._matrix_of_inner(child.record)
-                matrix = matrix if own is None else _product(own, matrix, child)
+                if own is not None:
+                    stages = [ByMatrix(own)]
+                    stage = Chain(stages) if child.samples is None else SomeSamples(stages, child.samples, child.batch)
+                    matrix = stage.product(matrix)
         return matrix
 
+    def _like(self, frames: Frames) -> Tensor:
+        """What has the shape and the type of the images that frames are, but no values."""
+        return frames._like()
+
+    def _time(self, images: Tensor) -> int:
+        """How many neighbors in a batch are frames of a video; 0 for images."""
+        return 0
+
     def _restored(self, y: Tensor, input: Tensor) -> Tensor:
+        """A result of the type and with the axes of the input."""
         if isinstance(input, list) or isinstance(y, list):
             return y
         if input.dtype in WIDE_INTEGERS and self.output_dtype is None:
@@ -667,11 +612,11 @@ class ImageSequential(ImageSequentialBase):
         return self._matrix(self._record)
 
     def _matrix(self, record: Record) -> Tensor | None:
-        if isinstance(record, ListRecord):
-            return _matrix_of_parts(record, self._matrix)
+        if record.parts is not None:
+            return record.parts.matrix(self._matrix)
         if record.shape is None or self.transformation_matrix_mode == "skip":
             return None
-        return record.stages.product(identity_of(record))
+        return record.stages.product(record.identity_matrix())
 
     def get_transformation_matrix(
         self,
@@ -687,7 +632,7 @@ class ImageSequential(ImageSequentialBase):
         if isinstance(x, list) and not self._reads_lists:
             return self._matrix(self._call_list([DataKey.INPUT], [x], params, None, None)[1])
         record = self._execute(x, params, self._context(None, None))[1]
-        return record.stages.product(identity_of(record))
+        return record.stages.product(record.identity_matrix())
 
     def inverse(
         self, input: Tensor, params: Sequence[ParamItem] | None = None, extra_args: dict[Any, Any] | None = None
@@ -704,7 +649,7 @@ class ImageSequential(ImageSequentialBase):
         """
         parts = self._parts_of(params, input)
         if parts is not None:
-            return self._each_part(parts, input, lambda own, x: own.inverse(x))
+            return parts.each_result(self, input, lambda own, x: own.inverse(x))
         x = self.transform_tensor(input)
         record = self._record_to_invert(x, params)
         return self._restored(inverse_at(x, record.size, record.stages.invert), input)
@@ -723,19 +668,11 @@ class ImageSequential(ImageSequentialBase):
             params = self._params
         parts = self._parts_of(params, output)
         if parts is not None:
-            return self._each_part(parts, output, lambda own, x: own.known_pixels(x))
+            return parts.each_result(self, output, lambda own, x: own.known_pixels(x))
         x = self.transform_tensor(output)
         record = self._record_of(x, params)
         moved = record.stages.move_masks(known_everywhere(record.shape or tuple(x.shape), x.device), KNOWN)
         return at_scale(is_known(record.stages.invert(moved)), x.shape[2:], moved.shape[2:])
-
-    def _each_part(self, parts: Sequence[Part], output: Any, call: Callable[[Self, Tensor], Any]) -> Any:
-        """What a call makes of the results of each part, as the list that the images were."""
-        count, each = sum(len(part.rows) for part in parts), []
-        for part in parts:
-            x = of_rows(type(self).__name__, DataKey.INPUT, output, part.rows, count)
-            each.append(call(with_call(self, "_record", part.call), x))
-        return each_row(each, parts, count)
 
     def _record_of(self, x: Tensor, params: Sequence[ParamItem] | None) -> Record:
         """The last call, or one with given parameters on images of which only the size counts."""
@@ -775,12 +712,6 @@ class ImageSequential(ImageSequentialBase):
         return items
 
 
-def _matrix_of_parts(record: ListRecord, matrix: Callable[[Record], Tensor | None]) -> Tensor | None:
-    """The matrices of the images of a list, by those of its parts."""
-    matrices = [matrix(part.call) for part in record.parts]
-    return None if matrices[0] is None else join(record.parts, matrices, record.count)
-
-
 def _moved(seed: Any, position: int) -> Any:
     """Another seed at each position in the chain, for the choices of other containers."""
     return seed + (position << 32) if position else seed
@@ -806,18 +737,3 @@ def _input_shape(params: Sequence[ParamItem]) -> tuple[int, ...] | None:
         if shape is not None:
             return shape if samples is None else (len(samples), *shape[1:])
     return None
-
-
-def _product(own: Tensor, matrix: Tensor, child: Child) -> Tensor:
-    """Matrices multiplied by those of a child from the left."""
-    if child.samples is None:
-        return own @ matrix.to(own)
-    return SomeSamples(Warp(own, (), (), Resampling()), child.samples, child.batch, None).product(matrix)
-
-
-def identity_of(record: Record) -> Tensor:
-    """Identity matrices for the samples of images or volumes of a call, on their device."""
-    shape = record.shape or ()
-    axes = len(shape) - 1
-    device, dtype = record.identity or (torch.device("cpu"), torch.float32)
-    return torch.eye(axes, device=device, dtype=dtype).expand(shape[0], axes, axes)

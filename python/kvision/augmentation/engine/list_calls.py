@@ -8,9 +8,9 @@ they had before, and a list otherwise.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import chain
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 import torch
 from torch import Generator, Tensor
@@ -18,7 +18,7 @@ from torch.compiler import is_compiling
 
 from kvision.augmentation.draws import philox
 from kvision.augmentation.engine.execution import Execution
-from kvision.augmentation.engine.record import Record, SomeParamItem
+from kvision.augmentation.engine.record import SomeParamItem
 from kvision.augmentation.keys import Seed, check_seeds, draw_keys
 from kvision.constants import DataKey
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
@@ -30,68 +30,140 @@ SIZES: Sizes = ((40037, 53003), (91009, 67003))  # of images that show what depe
 Module = TypeVar("Module")
 
 
-class Part(NamedTuple):
-    """The images of a list that were one batch, by their numbers, and what that batch's call drew and did."""
+class Parts:
+    """A call on a list: its images in parts that were one batch each, by their numbers, with what each call drew and did.
 
-    rows: Sequence[int]
-    call: Any  # an Execution, or a Record of a container
+    Args:
+        op: of errors.
+        rows: the numbers of the images of each part.
+        calls: of each part an Execution, or the Record of a container.
+    """
 
+    def __init__(self, op: str, rows: Sequence[Sequence[int]], calls: Sequence[Any] = ()) -> None:
+        self.op, self.rows, self.calls = op, rows, list(calls)
+        self.count = sum(map(len, rows))
 
-def _largest(parts: Sequence[Part], count: int) -> tuple[int, ...]:
-    """(B, C, H, W) with the largest sides of a list."""
-    return (count, *(max(sides) for sides in zip(*(part.call.shape[1:] for part in parts))))
+    @classmethod
+    def of_params(
+        cls, op: str, params: Any, shapes: Sequence[Any], outputs: Any, call: Callable[[Tensor, Any, Any], Any]
+    ) -> Parts:
+        """Each image of a list for itself, of a shape and with given parameters, for which `call` says what was done.
 
-
-class ListRecord(Record):
-    """The call of a container on a list, in parts."""
-
-    def __init__(self, parts: Sequence[Part], count: int) -> None:
-        super().__init__(_largest(parts, count))
-        self.parts, self.count = parts, count
-
-
-class PartedExecution(Execution):
-    """The call of an augmentation on a list, in parts."""
-
-    is_of_list = True
-
-    def __init__(self, parts: Sequence[Part], count: int, module: Any) -> None:
-        self.parts, self.count, self._module = parts, count, module
-        self._matrices: Tensor | None = None
-        self._named: dict[str, Any] | None = None
-        super().__init__(_largest(parts, count))
+        Images that no child augmented have None for a shape: that of their results.
+        """
+        parts = cls(op, [[b] for b in range(len(shapes))])
+        for b, shape in enumerate(shapes):
+            output = torch.empty(1, 1, 1, device="cpu") if outputs is None else outputs[b]
+            own = tuple(output.shape) if shape is None else shape
+            parts.calls.append(call(output.new_empty(1), (1, *own), params_of_rows(params, [b], len(shapes))))
+        return parts
 
     @property
-    def matrix(self) -> Tensor:  # type: ignore[override]  # made when it is read
-        if self._matrices is None:
-            matrices = [self._module._matrix(part.call) for part in self.parts]
-            self._matrices = join(self.parts, matrices, self.count)
-        return self._matrices
+    def shape(self) -> tuple[int, ...]:
+        """(B, C, H, W) with the largest sides."""
+        return (self.count, *map(max, zip(*(call.shape[1:] for call in self.calls))))
 
-    @property
-    def params(self) -> Any:
-        if self._named is None:
-            each = [self._module._read_params(part.call) for part in self.parts]
-            self._named = join_params(self.parts, each, self.count)
-        return self._named
+    def views(self, module: Module) -> list[Module]:
+        """The module as it is when the call of a part is its last one; calls of other threads do not see it."""
+        views = []
+        for call in self.calls:
+            view = object.__new__(type(module))
+            view.__dict__.update(module.__dict__)
+            view.__dict__["_execution" if isinstance(call, Execution) else "_record"] = call
+            views.append(view)
+        return views
 
-    @params.setter
-    def params(self, params: Any) -> None:
-        self._named = params
+    def inputs(self, rows: Sequence[int], keys: Sequence[DataKey], inputs: Sequence[Any]) -> list[Any]:
+        """What the inputs of the call are for some of its images."""
+        return [
+            value if self._is_shared(key, value) else of_rows(self.op, key, value, rows, self.count)
+            for key, value in zip(keys, inputs)
+        ]
+
+    def outputs(
+        self, keys: Sequence[DataKey], inputs: Sequence[Any], each: Sequence[Any], has_one_size: bool = False
+    ) -> list[Any]:
+        """The outputs of the parts in the order of the list; images as a batch if they have one size, or a list of (C, h, w)."""
+        outputs = []
+        for key, value, *results in zip(keys, inputs, *each):
+            if key == DataKey.INPUT and not has_one_size:
+                outputs.append(self.each_row(results))
+            else:
+                outputs.append(value if self._is_shared(key, value) else self.join(results))
+        return outputs
+
+    def _is_shared(self, key: DataKey, value: Any) -> bool:
+        return key == DataKey.CLASS and not belongs_to_images(value, self.count)
+
+    def each_result(self, module: Module, output: Any, call: Callable[[Module, Tensor], Any]) -> Any:
+        """What a call of the module makes of the result of each image."""
+        xs = [of_rows(self.op, DataKey.INPUT, output, rows, self.count) for rows in self.rows]
+        return self.each_row([call(view, x) for view, x in zip(self.views(module), xs)])
+
+    def each_row(self, values: Sequence[Any]) -> list[Any]:
+        """What the parts gave, as a list with an entry of each image."""
+        each: list[Any] = [None] * self.count
+        for rows, value in zip(self.rows, values):
+            for i, own in zip(rows, value):
+                each[i] = own
+        return each
+
+    def join(self, values: Sequence[Any]) -> Any:
+        """Tensors (b, ...) of the parts as one (B, ...) in the order of the list; others as a list."""
+        if len(values) == 1:
+            return values[0]
+        if not all(isinstance(value, Tensor) for value in values):
+            return self.each_row(values)
+        order = torch.tensor([i for rows in self.rows for i in rows], device="cpu").argsort()
+        y = torch.cat(list(values))
+        if y.dim() == 4 and values[0].shape[1] > 1 and values[0].is_contiguous(memory_format=torch.channels_last):
+            return y.permute(0, 2, 3, 1).index_select(0, order.to(y.device)).permute(0, 3, 1, 2)
+        return y.index_select(0, order.to(y.device))
+
+    def params(self, read: Callable[[Any], Any]) -> Any:
+        """The parameters of the list, of what `read` says are those of a part."""
+        return _joined(self, [read(call) for call in self.calls])
+
+    def matrix(self, read: Callable[[Any], Tensor | None]) -> Any:
+        """The matrices (B, 3, 3) of the list, of what `read` says are those of a part; None if there are none."""
+        matrices = [read(call) for call in self.calls]
+        return None if matrices[0] is None else self.join(matrices)
 
 
-def with_call(module: Module, name: str, call: Any) -> Module:
-    """The module, as it is when a part of its call is its last one; calls of other threads do not see it."""
-    view = object.__new__(type(module))
-    view.__dict__.update(module.__dict__)
-    view.__dict__[name] = call
-    return view
+def call_in_parts(
+    modules: Sequence[Any],
+    keys: Sequence[DataKey],
+    inputs: Sequence[Any],
+    params: Any,
+    seed: Seed,
+    generator: Generator | None,
+    call: Callable[..., tuple[list[Any], Any]],
+) -> tuple[list[Any], Parts]:
+    """The results of a call on a list of images and what belongs to them, image by image.
+
+    `modules` are what is called and what is in it. `call` gives the results of a part, and what was drawn and done, for its
+    inputs, parameters, seed and generator.
+    """
+    module, images = modules[0], inputs[keys.index(DataKey.INPUT)]
+    op = type(module).__name__
+    _refuse_list(op, modules)
+    has_seeds = isinstance(seed, Tensor) and seed.dim() == 1
+    parts, each, seeds = Parts(op, _rows_of_parts(images, modules, has_seeds)), [], None
+    if params is None and len(parts.rows) > 1:
+        seeds, generator = _seeds_of_list(op, modules, parts.count, seed, generator or module.generator), None
+    for rows in parts.rows:
+        replayed = None if params is None else params_of_rows(params, rows, parts.count)
+        own_seed = seed if seeds is None else seeds[list(rows)]
+        outputs, done = call(parts.inputs(rows, keys, inputs), replayed, own_seed, generator)
+        parts.calls.append(done)
+        each.append(outputs)
+    return parts.outputs(keys, inputs, each, gives_one_size(module)), parts
 
 
 # --- the parts of a call --------------------------------------------------------------------------------------------
 
 
-def refuse_list(op: str, modules: Any) -> None:
+def _refuse_list(op: str, modules: Any) -> None:
     """Raise where a list cannot be augmented image by image."""
     for module in modules:
         if getattr(module, "mixes_samples", False):
@@ -106,7 +178,7 @@ def refuse_list(op: str, modules: Any) -> None:
         )
 
 
-def rows_of_parts(images: Sequence[Tensor], modules: Sequence[Any], has_seeds: bool) -> list[list[int]]:
+def _rows_of_parts(images: Sequence[Tensor], modules: Sequence[Any], has_seeds: bool) -> list[list[int]]:
     """The numbers of the images of each part: those of one size, or one image where samples of a batch would not be alone.
 
     A chance may decide for a batch, and what is chosen for samples may give them sizes of their own.
@@ -126,7 +198,7 @@ def _gives_samples_sizes(module: Any, has_seeds: bool) -> bool:
     return bool(chooses) and module._sizes_after(SIZES) is None
 
 
-def seeds_of_list(op: str, modules: Sequence[Any], count: int, seed: Seed, generator: Generator | None) -> Tensor:
+def _seeds_of_list(op: str, modules: Sequence[Any], count: int, seed: Seed, generator: Generator | None) -> Tensor:
     """A seed of each image (B,): those that are given, or what follows from one seed or from the key of a generator.
 
     They are one for all where all that draws has `same_on_batch`.
@@ -162,16 +234,6 @@ def _draws_same(module: Any) -> bool | None:
     return bool(module.same_on_batch) if draws else None
 
 
-def part_seed(
-    seed: Seed, generator: Generator | None, rows: Sequence[int], count: int
-) -> tuple[Seed, Generator | None]:
-    """The seed and the generator of a part: those of the call for all of it, or the seeds of its images."""
-    if len(rows) == count or seed is None:
-        return seed, generator
-    assert isinstance(seed, Tensor)
-    return seed[list(rows)], None
-
-
 def belongs_to_images(value: Any, count: int) -> bool:
     """Whether a value has an entry of each image."""
     if isinstance(value, Tensor):
@@ -198,68 +260,65 @@ def of_rows(op: str, key: DataKey, value: Any, rows: Sequence[int], count: int) 
     return own
 
 
-def each_row(values: Sequence[Any], parts: Sequence[Part], count: int) -> list[Any]:
-    """What the parts gave, as a list with an entry of each image."""
-    rows: list[Any] = [None] * count
-    for part, value in zip(parts, values):
-        for i, own in zip(part.rows, value):
-            rows[i] = own
-    return rows
-
-
-def join(parts: Sequence[Part], values: Sequence[Any], count: int) -> Any:
-    """Tensors (b, ...) of the parts as one (B, ...) in the order of the list; others as a list."""
-    if len(parts) == 1:
-        return values[0]
-    if not all(isinstance(value, Tensor) for value in values):
-        return each_row(values, parts, count)
-    order = torch.tensor([i for part in parts for i in part.rows], device="cpu").argsort()
-    y = torch.cat(list(values))
-    if y.dim() == 4 and values[0].shape[1] > 1 and values[0].is_contiguous(memory_format=torch.channels_last):
-        return y.permute(0, 2, 3, 1).index_select(0, order.to(y.device)).permute(0, 3, 1, 2)
-    return y.index_select(0, order.to(y.device))
-
-
-def join_images(parts: Sequence[Part], values: Sequence[Tensor], count: int, has_one_size: bool) -> Any:
-    """Images (b, C, h, w) of the parts: a batch, or a list of (C, h, w)."""
-    return join(parts, values, count) if has_one_size else each_row(values, parts, count)
-
-
 # --- parameters by name ---------------------------------------------------------------------------------------------
 #
 # Of a list they have the form that they have of a batch: a tensor has a row of each image, or k B rows of the cells of grids.
 # The shape of the images is (B, 4), a row of each. What is as large as the images is a list, an entry (k, ...) of each.
 
 
-def join_params(parts: Sequence[Part], each: Sequence[Mapping[str, Any]], count: int) -> dict[str, Any]:
-    """The parameters of the parts as those of the list."""
+def _joined(parts: Parts, each: Sequence[Any]) -> Any:
+    """Parameters of the parts as those of the list: by name, items of children, or what has none."""
+    if isinstance(each[0], list):
+        return _joined_items(parts, each)
+    if not isinstance(each[0], Mapping):
+        return each[0]
     joined: dict[str, Any] = {}
     for name in each[0]:
         values = [params[name] for params in each]
         if name == _SHAPE:
-            shapes = [
-                value.new_tensor([[int(value[0]) // len(part.rows), *value[1:].tolist()]]).expand(len(part.rows), -1)
-                for part, value in zip(parts, values)
-            ]
-            joined[name] = join(parts, shapes, count)
+            counts = [len(rows) for rows in parts.rows]
+            shapes = [value.new_tensor([[int(value[0]) // n, *value[1:].tolist()]]) for value, n in zip(values, counts)]
+            joined[name] = parts.join([shape.expand(n, -1) for shape, n in zip(shapes, counts)])
         else:
-            joined[name] = _joined_rows(parts, values, count)
+            joined[name] = _joined_rows(parts, values)
     return joined
 
 
-def _joined_rows(parts: Sequence[Part], values: Sequence[Any], count: int) -> Any:
-    if not all(
-        isinstance(x, Tensor) and x.dim() and len(x) and not len(x) % len(p.rows) for p, x in zip(parts, values)
-    ):
+def _joined_rows(parts: Parts, values: Sequence[Any]) -> Any:
+    sized = list(zip(values, map(len, parts.rows)))
+    if not all(isinstance(x, Tensor) and x.dim() and len(x) and not len(x) % n for x, n in sized):
         return values[0]
-    by_image = [x.unflatten(0, (-1, len(part.rows))).transpose(0, 1) for part, x in zip(parts, values)]  # (b, k, ...)
+    by_image = [x.unflatten(0, (-1, n)).transpose(0, 1) for x, n in sized]  # (b, k, ...)
     if len({x.shape[1:] for x in by_image}) > 1:
-        return each_row(by_image, parts, count)
-    return join(parts, by_image, count).transpose(0, 1).flatten(0, 1)
+        return parts.each_row(by_image)
+    return parts.join(by_image).transpose(0, 1).flatten(0, 1)
 
 
-def params_of_rows(params: Mapping[str, Any], rows: Sequence[int], count: int) -> dict[str, Any]:
-    """The parameters of some of `count` images, as those of a batch."""
+def _joined_items(parts: Parts, each: Sequence[Sequence[Any]]) -> list[Any]:
+    kinds = [[_kind(item) for item in items] for items in each]
+    if all(kind == kinds[0] for kind in kinds) and all(_samples(item) is None for item in chain(*each)):
+        return [_replaced(items[0], _joined(parts, [_data(item) for item in items])) for items in zip(*each)]
+    joined = []
+    for rows, items in zip(parts.rows, each):
+        size = len(rows)
+        for item in items:
+            samples = _samples(item)
+            inside = range(size) if samples is None else samples.nonzero()[:, 0].tolist()
+            length = size if samples is None else len(samples)
+            is_of_list = torch.zeros(length // size * parts.count, dtype=torch.bool, device="cpu")
+            is_of_list[[i // size * parts.count + rows[i % size] for i in inside]] = True
+            data = _joined(Parts(parts.op, [range(len(inside))]), [_data(item)])
+            joined.append(_replaced(item, data, is_of_list))
+    return joined
+
+
+def params_of_rows(params: Any, rows: Sequence[int], count: int) -> Any:
+    """The parameters of some of `count` images, as those of a batch; items without those of children that none of them got."""
+    if isinstance(params, list):
+        items = (_item_of_rows(item, rows, count) for item in params)
+        return [item for item in items if item is not None]
+    if not isinstance(params, Mapping):
+        return params
     own: dict[str, Any] = {}
     for name, value in params.items():
         if isinstance(value, list) and len(value) == count:
@@ -275,6 +334,18 @@ def params_of_rows(params: Mapping[str, Any], rows: Sequence[int], count: int) -
         else:
             own[name] = value
     return own
+
+
+def _item_of_rows(item: Any, rows: Sequence[int], count: int) -> Any:
+    samples = _samples(item)
+    if samples is None:
+        return _replaced(item, params_of_rows(_data(item), rows, count))
+    wanted = [cell + row for cell in range(0, len(samples), count) for row in rows]
+    is_own = samples[wanted]
+    if not is_own.any():
+        return None
+    places = (samples.cumsum(0) - 1)[wanted][is_own].tolist()
+    return _replaced(item, params_of_rows(_data(item), places, int(samples.sum())), is_own)
 
 
 def shapes_of_images(params: Any) -> list[tuple[int, ...] | None] | None:
@@ -297,43 +368,6 @@ def shapes_of_images(params: Any) -> list[tuple[int, ...] | None] | None:
     return known or None
 
 
-def join_items(parts: Sequence[Part], each: Sequence[Sequence[Any]], count: int) -> list[Any]:
-    """The items of the children of a container for the parts, as those of the list."""
-    kinds = [[_kind(item) for item in items] for items in each]
-    if all(kind == kinds[0] for kind in kinds) and all(_samples(item) is None for item in chain(*each)):
-        return [
-            _replaced(items[0], _joined_data(parts, [_data(item) for item in items], count)) for items in zip(*each)
-        ]
-    joined = []
-    for part, items in zip(parts, each):
-        size = len(part.rows)
-        for item in items:
-            samples = _samples(item)
-            inside = range(size) if samples is None else samples.nonzero()[:, 0].tolist()
-            length = size if samples is None else len(samples)
-            is_of_list = torch.zeros(length // size * count, dtype=torch.bool, device="cpu")
-            is_of_list[[i // size * count + part.rows[i % size] for i in inside]] = True
-            data = _joined_data([Part(range(len(inside)), None)], [_data(item)], len(inside))
-            joined.append(_replaced(item, data, is_of_list))
-    return joined
-
-
-def items_of_rows(items: Any, rows: Sequence[int], count: int) -> list[Any]:
-    """The items of the children for some of `count` images; without those of children that none of them got."""
-    own = []
-    for item in items:
-        samples = _samples(item)
-        if samples is None:
-            own.append(_replaced(item, _data_of_rows(_data(item), rows, count)))
-            continue
-        wanted = [cell + row for cell in range(0, len(samples), count) for row in rows]
-        is_own = samples[wanted]
-        if is_own.any():
-            places = (samples.cumsum(0) - 1)[wanted][is_own].tolist()
-            own.append(_replaced(item, _data_of_rows(_data(item), places, int(samples.sum())), is_own))
-    return own
-
-
 def _kind(item: Any) -> Any:
     return (getattr(item, "indices", None), getattr(item, "param", item).name)
 
@@ -351,18 +385,6 @@ def _replaced(item: Any, data: Any, samples: Tensor | None = None) -> Any:
     if hasattr(item, "param"):  # of cells
         return item._replace(param=_replaced(item.param, data, samples))
     return item._replace(data=data) if samples is None else SomeParamItem(item.name, data, samples)
-
-
-def _joined_data(parts: Sequence[Part], each: Sequence[Any], count: int) -> Any:
-    if isinstance(each[0], Mapping):
-        return join_params(parts, each, count)
-    return join_items(parts, each, count) if isinstance(each[0], list) else each[0]
-
-
-def _data_of_rows(data: Any, rows: Sequence[int], count: int) -> Any:
-    if isinstance(data, Mapping):
-        return params_of_rows(data, rows, count)
-    return items_of_rows(data, rows, count) if isinstance(data, list) else data
 
 
 # --- sizes of results -----------------------------------------------------------------------------------------------
@@ -383,9 +405,5 @@ def sizes_after(module: Any, sizes: Sizes) -> Sizes | None:
 
 def gives_one_size(module: Any) -> bool:
     """Whether images of any sizes have one in the end, in every call."""
-    kept: bool | None = module._plans.get("one size")
-    if kept is None:
-        sizes = sizes_after(module, SIZES)
-        kept = sizes is not None and sizes[0] == sizes[1]
-        module._plans.keep("one size", kept)
-    return kept
+    sizes: Sizes | None = module._plans.made("sizes", lambda: sizes_after(module, SIZES))
+    return sizes is not None and sizes[0] == sizes[1]

@@ -6,7 +6,7 @@ draw what a batch draws.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -17,12 +17,12 @@ from kvision._dtype import compute_dtype
 from kvision.augmentation import labels
 from kvision.augmentation.columns import Column, Columns, Span
 from kvision.augmentation.draws import SIZED, Request, draw_list_parameters, make_plan
+from kvision.augmentation.engine.call_context import CallContext
 from kvision.augmentation.engine.call_labels import CallLabels
-from kvision.augmentation.engine.execution import Execution, Shape, matrix_type
+from kvision.augmentation.engine.execution import Execution, Params, matrix_type
 from kvision.augmentation.engine.list_calls import SIZES
 from kvision.augmentation.engine.record import Child
 from kvision.augmentation.engine.stages import Applied, MaskReading, Warp
-from kvision.augmentation.keys import Keys
 from kvision.augmentation.maps import exact, warp_each
 from kvision.augmentation.transforms import Transform, transform_matrix
 from kvision.core.exceptions import ShapeError
@@ -43,11 +43,10 @@ class ListPlan(NamedTuple):
 
 def list_plan(module: Any) -> ListPlan | None:
     """The plan of an augmentation for lists; None if it does not give images of any sizes one size, in every call."""
-    kept: tuple[ListPlan | None] | None = module._plans.get("list") if hasattr(module, "_plans") else (None,)
-    if kept is None:
-        kept = (_list_plan(module),)
-        module._plans.keep("list", kept)
-    return kept[0]
+    plan: ListPlan | None = (
+        module._plans.made("list", lambda: _list_plan(module)) if hasattr(module, "_plans") else None
+    )
+    return plan
 
 
 def _list_plan(module: Any) -> ListPlan | None:
@@ -132,62 +131,21 @@ class ListWarp(Warp):
         return list(of_planes.move_masks(planes, reading)[:, 0].split(counts))
 
 
-class ListExecution(Execution):
-    """The call of the first augmentation on a list; its parameters are read from the device when they are asked for."""
+class ListCall:
+    """A call of the augmentation that makes a list of images a batch: what it draws for their sizes, and has drawn."""
 
-    is_of_list = True
-    _matrix: Tensor | None = None
-    _find_matrix: Callable[[], Tensor] | None = None
-
-    def __init__(self, shape: Shape, sizes: Sequence[int], module: Any, columns: Columns) -> None:
-        self._sizes, self._module, self._own = sizes, module, columns
-        self._named: dict[str, Any] | None = None
-        super().__init__(shape)
-
-    @property
-    def params(self) -> Any:
-        if self._named is None:
-            generator, count = self._module._param_generator, self.shape[0]
-            values, each = self._own.values.detach().cpu(), []
-            for b in range(count) if generator is not None else ():
-                each.append(generator.to_params(values[b : b + 1], (1, self.shape[1], *self._sizes[2 * b : 2 * b + 2])))
-            self._named = {name: torch.cat([params[name] for params in each]) for name in (each[0] if each else ())}
-            self._named["batch_prob"] = torch.ones(count, device="cpu")
-            sides, channels = self._sizes, self.shape[1]
-            shapes = [[1, channels, *sides[2 * b : 2 * b + 2]] for b in range(count)]
-            self._named["forward_input_shape"] = torch.tensor(shapes, device="cpu")
-        return self._named
-
-    @params.setter
-    def params(self, params: Any) -> None:
-        self._named = params
-
-    @property
-    def matrix(self) -> Tensor | None:
-        """Computed when it is asked for."""
-        if self._matrix is None and self._find_matrix is not None:
-            self._matrix = self._find_matrix()
-        return self._matrix
-
-    @matrix.setter
-    def matrix(self, matrix: Tensor | None) -> None:
-        self._matrix = matrix
-
-
-class ListImages:
-    """The images of a call, for the augmentation that makes them a batch."""
+    columns: Columns
+    dtype: torch.dtype  # of matrices
 
     def __init__(self, images: Sequence[Tensor], module: Any) -> None:
         plan = list_plan(module)
         assert plan is not None
-        self.plan, self.module = plan, module
-        self.images, self.sides = images, sides_of(images)
+        self.plan, self.module, self.sides, self.shape = plan, module, sides_of(images), largest_shape(images)
 
     @property
     def shapes(self) -> list[tuple[int, ...]]:
         """(B, C, H, W) with the size of each image."""
-        count, channels = len(self.images), self.images[0].shape[0]
-        return [(count, channels, h, w) for h, w in zip(self.sides[::2], self.sides[1::2])]
+        return [(*self.shape[:2], h, w) for h, w in zip(self.sides[::2], self.sides[1::2])]
 
     @property
     def only_windows_differ(self) -> bool:
@@ -199,7 +157,7 @@ class ListImages:
         if self.plan.numbers is None:
             return [number for shape in self.shapes for number in _numbers(self.module._request(shape))[2:]]
         own = self.plan.numbers[2:]
-        numbers = own * len(self.images)
+        numbers = own * self.shape[0]
         for at in self.plan.sizes_at:
             numbers[at - 2 :: len(own)] = self.sides[::2]
             numbers[at - 1 :: len(own)] = self.sides[1::2]
@@ -214,33 +172,35 @@ class ListImages:
         own = torch.tensor(rows, dtype=compute_dtype(like), device="cpu").to(like.device, non_blocking=True)
         return own if columns is None else torch.cat([columns.to(own.dtype), own], 1)
 
-    def matrix(self, columns: Tensor, span: Span) -> Tensor:
-        """The matrices (B, 3, 3) of the augmentation, from the columns that it has drawn."""
+    def execution(
+        self, columns: Columns, type_of_matrix: tuple[torch.device, torch.dtype], matrix: Tensor | None = None
+    ) -> Execution:
+        """The record of the call. Its parameters, and its matrices if they are not given, are computed when they are asked for."""
+        execution = Execution(self.shape, columns, is_certain=True)
+        execution.identity, execution.matrix = type_of_matrix, matrix
+        self.columns, self.dtype, execution.of_list = columns, type_of_matrix[1], self
+        return execution
+
+    def params(self, read: Any = None) -> Params:
+        """The parameters by name, read from the device."""
+        generator, shapes = self.module._param_generator, [(1, *shape[1:]) for shape in self.shapes]
+        values, each = self.columns.values.detach().cpu(), []
+        for b, shape in enumerate(shapes if generator is not None else ()):
+            each.append(generator.to_params(values[b : b + 1], shape))
+        params: Params = {name: torch.cat([own[name] for own in each]) for name in (each[0] if each else ())}
+        params["batch_prob"] = torch.ones(len(shapes), device="cpu")
+        params["forward_input_shape"] = torch.tensor(shapes, device="cpu")
+        return params
+
+    def matrix(self, read: Any = None) -> Tensor:
+        """The matrices (B, 3, 3)."""
+        columns, span = self.columns.drawn.to(self.dtype), self.columns.span
         values = columns if span.width == columns.shape[1] else columns[:, span.first : span.first + span.width]
-        chain = chain_of_list(self.module, Span(0, span.width, span.has_chosen), values.shape[1])
-        if chain is None:
-            assert self.plan.chain is not None
-            chain = self.module._bound(self.plan.chain, Span(0, span.width, span.has_chosen))
+        own = Span(0, span.width, span.has_chosen)
+        chain = chain_of_list(self.module, own, values.shape[1]) or self.module._bound(self.plan.chain or (), own)
         with_sizes = self.with_sizes(values, values)
         assert with_sizes is not None
         return transform_matrix(with_sizes, chain)
-
-    def execution(
-        self,
-        columns: Tensor,
-        span: Span,
-        type_of_matrix: tuple[torch.device, torch.dtype],
-        matrix: Tensor | None = None,
-    ) -> ListExecution:
-        """The record of the call; its matrices are computed when they are asked for, if they are not given."""
-        own = Columns(columns, span)
-        execution = ListExecution(largest_shape(self.images), self.sides, self.module, own)
-        execution.columns, execution.is_certain, execution.identity = own, True, type_of_matrix
-        if matrix is None:
-            values = columns.to(type_of_matrix[1])
-            execution._find_matrix = lambda: self.matrix(values, span)
-        execution.matrix = matrix
-        return execution
 
 
 def _numbers_in(chain: Sequence[Transform]) -> list[float]:
@@ -253,8 +213,7 @@ def chain_of_list(module: Any, span: Span | None, columns: int) -> list[Transfor
     the image; None where none does.
     """
     plan = list_plan(module)
-    assert plan is not None
-    if plan.chain is not None:
+    if plan is None or plan.chain is not None:
         return None
     chain = []
     for transform in module._bound(module.matrix_transforms((1, 3, *SIZES[0]), module.flags), span):
@@ -267,39 +226,30 @@ def chain_of_list(module: Any, span: Span | None, columns: int) -> list[Transfor
 
 
 def execute_list(
-    images: Sequence[Tensor],
-    child: Child,
-    module: Any,
-    keys: Keys | None,
-    position: int,
-    call_labels: CallLabels | None = None,
-) -> tuple[Tensor, ListWarp]:
-    """The batch that the first augmentation makes of a list, and what labels have to follow."""
-    own, flags, like = ListImages(images, module), module.flags, like_batch(images)
-    span = Span(0, 0, False)
+    images: Sequence[Tensor], child: Child, context: CallContext, position: int = 0
+) -> tuple[Tensor, ListWarp, bool]:
+    """The batch that the first augmentation makes of a list, what labels have to follow, and whether anything was drawn."""
+    module: Any = child.module
+    own, flags, like = ListCall(images, module), module.flags, like_batch(images)
     values = torch.empty(len(images), 0, device=like.device)
-    generator = module._param_generator
+    generator, request = module._param_generator, module._request(own.shapes[0])
+    draws = child.params is None and request is not None
     if child.params is not None and generator is not None:
         values = generator.to_columns(child.params, own.shapes[0]).to(like.device)
-    elif keys is not None:
-        request = module._request(own.shapes[0])
-        draws, _, _ = make_plan([request], keys.has_seed, position)
-        numbers = _numbers(request)
-        values = draw_list_parameters(
-            like, keys.keys, keys.seeds_on(like.device), draws, numbers, own.numbers_of_draws()
-        )
+    elif draws:
+        keys = context.keys([module], like)
+        context.check_seeds(keys, len(images))
+        plan, _, _ = make_plan([request], keys.has_seed, position)
+        numbers = (_numbers(request), own.numbers_of_draws())
+        values = draw_list_parameters(like, keys.keys, keys.seeds_on(like.device), plan, *numbers)
         if module._derives:
-            values = _derived(module, values, images, call_labels)
-    if values.shape[1]:
-        span = Span(0, values.shape[1], False)
-    values = values.to(compute_dtype(like))
-    matrix = own.matrix(values, span)
-    size = list(own.plan.size)
+            values = _derived(module, values, images, context.labels)
+    columns = Columns(values.to(compute_dtype(like)), Span(0, values.shape[1], False))
+    execution = child.record = module.__dict__["_execution"] = own.execution(columns, matrix_type(like))
+    matrix, size = module._matrix(execution), list(own.plan.size)
     batch = module._warp_list(list(images), matrix, size, flags)
-    execution = own.execution(values, span, matrix_type(like), matrix)
-    child.record = module.__dict__["_execution"] = execution
     parts = [Applied(module, execution, flags)] if module.removes_boxes else ()
-    return batch, ListWarp(matrix, own.sides, size, module.resampling(flags), parts)
+    return batch, ListWarp(matrix, own.sides, size, module.resampling(flags), parts=parts), draws
 
 
 def _derived(module: Any, drawn: Tensor, images: Sequence[Tensor], call_labels: CallLabels | None) -> Tensor:

@@ -22,7 +22,7 @@ from kvision.augmentation.drawn_pass import DrawnPass
 from kvision.augmentation.engine.augmentation import AugmentationBase
 from kvision.augmentation.engine.contribution import Motion
 from kvision.augmentation.engine.execution import Execution, Shape, check_images
-from kvision.augmentation.engine.stages import Applied, Composed, MapLink, Stage, Warp
+from kvision.augmentation.engine.stages import Applied, ByMatrix, Composed, Stage, Warp
 from kvision.augmentation.samples import where_chosen
 from kvision.augmentation.transforms import MAX_TRANSFORMS, MatrixPlan, Transform, keeps_rows, transform_matrix
 from kvision.augmentation.warp_and_color import SAME, ColorPart, Output, Pass, Resampling, fits_one_program, make_pass
@@ -46,7 +46,11 @@ class Running:
         """Augmentations that are one step by themselves, where one of them removes boxes."""
         if not any(self.modules[n].removes_boxes for n in numbers):
             return ()
-        return [Applied(self.modules[n], self.executions[n], self.modules[n].flags) for n in numbers]
+        return [self.applied(n) for n in numbers]
+
+    def applied(self, number: int) -> Applied:
+        """An augmentation by itself, by its number in the run."""
+        return Applied(self.modules[number], self.executions[number], self.modules[number].flags)
 
 
 class Alone(NamedTuple):
@@ -55,11 +59,11 @@ class Alone(NamedTuple):
     number: int  # in the run
 
     def run(self, x: Tensor, running: Running) -> tuple[Tensor, Stage | None]:
-        module, execution = running.modules[self.number], running.executions[self.number]
-        execution.keeps_map = running.has_labels
-        y = module._run(x, execution, module.flags) if running.result is None else running.result[0]
+        applied = running.applied(self.number)
+        applied.execution.keeps_map = running.has_labels
+        y = running.result[0] if running.result else applied.module._run(x, applied.execution, applied.flags)
         running.result = None
-        return y, Applied(module, execution, module.flags)
+        return y, applied
 
     def drawn_with(self, draws: DrawPlan, planned: Planned) -> None:
         return None
@@ -83,29 +87,24 @@ class Joined(NamedTuple):
             return x, None
         assert matrix is not None
         if len(self.geometric) == 1:
-            module, execution = running.modules[self.geometric[0]], running.executions[self.geometric[0]]
-            execution.keep_matrix(matrix)
-            return x, Applied(module, execution, module.flags)
+            applied = running.applied(self.geometric[0])
+            applied.execution.keep_matrix(matrix)
+            return x, applied
         if columns is not None and columns.requires_grad:
             matrix = transform_matrix(as_dtype(columns, compute_dtype(x)), self.chain)
         assert self.resampling is not None
-        return x, Warp(matrix, self.source, self.size, self.resampling, running.parts(self.geometric))
+        return x, Warp(matrix, self.source, self.size, self.resampling, parts=running.parts(self.geometric))
 
     def drawn_with(self, draws: DrawPlan, planned: Planned) -> DrawnPass:
         return DrawnPass(draws, self.image_pass, planned.shapes[0], planned.dtype)
 
 
-class Link(NamedTuple):
-    """A part of a composition: a chain of matrices, or the map of an augmentation by its number in the run."""
-
-    matrix: MatrixPlan | None
-    map_number: int = -1
-
-
 class Composition(NamedTuple):
     """Augmentations that are executed by one resampling, some of which have no matrix or blur what becomes smaller."""
 
-    links: Sequence[Link]
+    links: Sequence[
+        MatrixPlan | int
+    ]  # chains of matrices, and augmentations that are maps, by their numbers in the run
     geometric: Sequence[int]  # the augmentations, by their numbers in the run
     source: tuple[int, int]
     size: tuple[int, int]
@@ -118,28 +117,26 @@ class Composition(NamedTuple):
         columns = x.new_empty(x.shape[0], 0, dtype=dtype) if columns is None else as_dtype(columns, dtype)
         drawn = None if running.links is None else list(running.links)
         running.links = None
-        links: list[Tensor | MapLink] = []
-        for i, (matrix, number) in enumerate(self.links):
-            if matrix is not None:
-                links.append(matrix.matrix(columns) if drawn is None else drawn[i])
+        links: list[ByMatrix | Applied] = []
+        for i, link in enumerate(self.links):
+            if isinstance(link, MatrixPlan):
+                links.append(ByMatrix(link.matrix(columns) if drawn is None else drawn[i]))
                 continue
-            module, execution = running.modules[number], running.executions[number]
-            links.append(MapLink(module, execution, module.flags))
+            links.append(running.applied(link))
             if drawn is not None:
-                drawn[i] = where_chosen(execution.chosen, drawn[i], 0.0)
-        parts = running.parts(self.geometric)
-        composed = Composed(links, self.source, self.size, self.resampling, self.antialias, drawn, parts)
+                drawn[i] = where_chosen(running.executions[link].chosen, drawn[i], 0.0)
+        sizes, parts = (self.source, self.size), running.parts(self.geometric)
+        composed = Composed(*sizes, self.resampling, links, self.antialias, drawn, parts=parts)
         return composed.run(x), composed
 
     def drawn_with(self, draws: DrawPlan, planned: Planned) -> DrawnLinks | None:
         """The draws with the links by one kernel; None if it does not serve all."""
         drawn: list[MatrixPlan | NoiseField] = []
-        for matrix, number in self.links:
-            key = None if matrix is not None else planned.keys[number]
-            link = matrix if key is None else planned.modules[number]._noise_field(planned.shapes[number], *key)
-            if link is None:
+        for link in self.links:
+            own: MatrixPlan | NoiseField | None = link if isinstance(link, MatrixPlan) else planned.noise_field(link)
+            if own is None:
                 return None
-            drawn.append(link)
+            drawn.append(own)
         return DrawnLinks(draws, drawn)
 
 
@@ -154,6 +151,13 @@ class Planned(NamedTuple):
     dtype: torch.dtype  # of those of the first one
     # Of each that draws, the number of its key and False, or under a seed its position in the chain and True.
     keys: Sequence[tuple[int, bool] | None]
+
+    def noise_field(self, number: int) -> NoiseField | None:
+        """The map of an augmentation for kernels that draw its noise; None if it is another map."""
+        key, field = self.keys[number], None
+        if key is not None:
+            field = self.modules[number]._noise_field(self.shapes[number], *key)
+        return field
 
 
 # --- the planner ----------------------------------------------------------------------------------------------------
@@ -284,15 +288,15 @@ class _Planner:
         self.steps.append(Joined(image_pass, [g.number for g in geometric], chain, source, size, resampling))
 
     def _compose(self, geometric: Sequence[_Geometric]) -> None:
-        links: list[Link] = []
+        links: list[MatrixPlan | int] = []
         chain: list[Transform] = []
         for g in geometric:
             chain += g.chain
             if g.motion.is_map:
-                links += [Link(MatrixPlan(chain))] if chain else []
-                links.append(Link(None, g.number))
+                links += [MatrixPlan(chain)] if chain else []
+                links.append(g.number)
                 chain = []
-        links += [Link(MatrixPlan(chain))] if chain else []
+        links += [MatrixPlan(chain)] if chain else []
         antialias = any(g.motion.is_antialiased for g in geometric)
         numbers = [g.number for g in geometric]
         self.steps.append(Composition(links, numbers, *_sizes_and_resampling(geometric), antialias))

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple, get_args
 
@@ -13,12 +12,13 @@ from torch import Generator, Tensor, nn
 
 from kvision import _check
 from kvision._choices import OutputType, WindowPadding
+from kvision.augmentation.engine.call_context import CallContext
 from kvision.augmentation.engine.image_sequential import ImageSequential, checked_items
 from kvision.augmentation.engine.list_calls import Sizes
 from kvision.augmentation.engine.record import AnyParamItem, Child, ParamItem, Record, item_of
-from kvision.augmentation.engine.runs import CallContext, execute
+from kvision.augmentation.engine.runs import execute
 from kvision.augmentation.engine.stages import Cells, Chain
-from kvision.augmentation.engine.turns import Turn, execute_turns, turns_of
+from kvision.augmentation.engine.turns import execute_turns
 from kvision.augmentation.inputs import parse_size
 from kvision.augmentation.keys import Seed, frame_seeds
 from kvision.augmentation.warp_and_color import SAME
@@ -194,17 +194,20 @@ class PatchSequential(ImageSequential):
     def _execute(self, x: Tensor, params: Any, context: CallContext) -> tuple[Tensor, Record]:
         pad = self.compute_padding(x, self.padding)
         cells = self._cells(x, pad)
-        executed: list[tuple[list[int] | None, Child]]
-        in_turns = self._in_turns_of_cells(cells, params, context)
+        items = params if params is None else [item.param for item in checked_items("PatchSequential", params, "param")]
+        in_turns = self._in_turns(range(len(cells) * len(x)), items, context)
         if in_turns is not None:
-            chains = [self._run_turns(cells, in_turns, context)]
-            executed = [(None, child) for child in chains[0]]
+            everything = list(range(len(cells)))
+            batch, own = self._taken(cells, everything, context)
+            y, _, children = execute_turns(batch, in_turns[0], own)
+            self._put(cells, everything, batch, y)
+            executed: list[tuple[list[int] | None, Child]] = [(None, child) for child in children]
         else:
             count = len(cells)
             chains = self._chains(count, context) if params is None else self._replayed_chains(count, params)
             executed = self._run_chains(cells, chains, context)
         is_cropped = any(pad) and self.padding == "valid"
-        moves = is_cropped or any(getattr(child.module, "_moves_labels", False) for chain in chains for child in chain)
+        moves = is_cropped or any(getattr(child.module, "_moves_labels", False) for _, child in executed)
         record = Record(tuple(x.shape), (), Chain([Cells()] if moves else []))
         record.cell_count = len(cells)
         record.cells, record.items = executed, None if params is None else list(params)
@@ -222,44 +225,22 @@ class PatchSequential(ImageSequential):
         position = context.position
         for numbers in _groups(chains):
             children = [replace(child) for child in chains[numbers[0]]]
-            run = functools.partial(_run_all, children=children, position=position)
             executed += [(None if len(numbers) == len(cells) else numbers, child) for child in children]
-            self._run_cells(cells, numbers, context, run)
+            x, own = self._taken(cells, numbers, context)
+            self._put(cells, numbers, x, execute(x, children, own, position)[0])
             position += len(children)
         return executed
 
-    def _in_turns_of_cells(
-        self, cells: list[Tensor], params: Sequence[PatchParamItem] | None, context: CallContext
-    ) -> list[Turn] | None:
-        """The turns of a call where each sample, or each cell of each sample, has children of its own; all cells are one batch."""
-        batch = len(cells) * len(cells[0])
-        if params is not None:
-            items = [item.param for item in checked_items(type(self).__name__, params, "param")]
-            children = self._children_of_call(items, context)
-            return self._turns_of_params(children, batch) if any(c.samples is not None for c in children) else None
-        if not self._chooses_for_samples(context):
-            return None
-        frames = max(context.time, context.frames, 1)
-        samples = len(cells[0]) // frames
-        if self.patchwise_apply:
-            of_cells = (context._replace(seed=seed, position=0) for seed in self._seeds_of_choices(len(cells), context))
-            sequences = [own for of_cell in of_cells for own in self._sequences_of_samples(of_cell, samples)]
-        else:
-            sequences = self._sequences_of_samples(context, samples) * len(cells)
-        units = [[Child(name, module)] for name, module in self.named_children()]
-        return turns_of(units, sequences, frames, context.position)
-
-    def _run_turns(self, cells: list[Tensor], turns: Sequence[Turn], context: CallContext) -> list[Child]:
-        """Run turns on all cells as one batch."""
-        children: list[Child] = []
-
-        def run(x: Tensor, own: CallContext) -> Tensor:
-            y, _, executed = execute_turns(x, turns, own)
-            children.extend(executed)
-            return y
-
-        self._run_cells(cells, list(range(len(cells))), context, run)
-        return children
+    def _sequences_of_samples(self, context: CallContext, samples: int) -> Sequence[Sequence[int]]:
+        """The numbers of the children of each sample of each cell, of which there are so many together."""
+        count = self.grid_size[0] * self.grid_size[1]
+        if not self.patchwise_apply:
+            return [*super()._sequences_of_samples(context, samples // count)] * count
+        sequences: list[Sequence[int]] = []
+        for seed in self._seeds_of_choices(count, context):
+            of_cell = context._replace(seed=seed, position=0)
+            sequences += super()._sequences_of_samples(of_cell, samples // count)
+        return sequences
 
     def _seeds_of_choices(self, count: int, context: CallContext) -> list[Seed]:
         """The seeds by which each cell gets children of its own."""
@@ -297,28 +278,27 @@ class PatchSequential(ImageSequential):
                 chains[cell].append(child)
         return chains
 
-    def _run_cells(
-        self,
-        cells: list[Tensor],
-        numbers: list[int],
-        context: CallContext,
-        run: Callable[[Tensor, CallContext], Tensor],
-    ) -> None:
-        """Run what changes a batch of images on some cells."""
-        batch = len(cells[0])
+    def _taken(
+        self, cells: Sequence[Tensor], numbers: Sequence[int], context: CallContext
+    ) -> tuple[Tensor, CallContext]:
+        """Some cells as one batch, and the context of what runs on it."""
         x = cells[numbers[0]] if len(numbers) == 1 else torch.cat([cells[n] for n in numbers])
         seed = context.seed
         if isinstance(seed, Tensor) and seed.dim() == 1:
             of_cells = frame_seeds(seed, len(cells)).unflatten(0, (len(seed), len(cells)))
             seed = torch.cat([of_cells[:, n] for n in numbers])
-        own = context._replace(seed=seed, output=SAME, plans=self._plans, has_labels=False)
-        y = run(x, own)
+        return x, context._replace(seed=seed, output=SAME, plans=self._plans, has_labels=False)
+
+    @staticmethod
+    def _put(cells: list[Tensor], numbers: Sequence[int], x: Tensor, y: Tensor) -> None:
+        """Let what a batch of cells became be the cells."""
         if y.shape != x.shape:
             raise ShapeError(
                 f"PatchSequential: expected augmentations that keep the size of cells, got {tuple(y.shape)} from "
                 f"{tuple(x.shape)}"
             )
-        for n, cell in zip(numbers, y.split(batch) if batch else [y] * len(numbers)):
+        parts = y.split(len(x) // len(numbers)) if len(x) else [y] * len(numbers)
+        for n, cell in zip(numbers, parts):
             cells[n] = cell
 
     def forward_parameters(self, batch_shape: Sequence[int]) -> list[PatchParamItem]:  # type: ignore[override]
@@ -338,10 +318,6 @@ class PatchSequential(ImageSequential):
 
     def _items(self, record: Record) -> list[Any]:
         return [PatchParamItem(indices, item_of(child)) for indices, child in record.cells]
-
-
-def _run_all(x: Tensor, own: CallContext, children: list[Child], position: int) -> Tensor:
-    return execute(x, children, own, position)[0]
 
 
 def _groups(chains: Sequence[Sequence[Child]]) -> list[list[int]]:

@@ -91,6 +91,7 @@ class Record:
     size: tuple[int, ...] = (0, 0)  # of the results
     identity: tuple[torch.device, torch.dtype] | None = None  # `matrix_type` of matrices that are made when read
     is_of_list = False  # of images, which the first child made a batch
+    parts: Any = None  # Parts, of a list of images that was executed in parts
     videos: VideoLayout | None = None  # of what frames are
     labels: LabelRecord | None = None
     drawn: Any = None  # of policies
@@ -102,6 +103,18 @@ class Record:
         self, shape: tuple[int, ...] | None = None, children: Sequence[Child] = (), stages: Chain | None = None
     ) -> None:
         self.shape, self.children, self.stages = shape, children, stages or Chain()
+
+    @classmethod
+    def of_parts(cls, parts: Any) -> Record:
+        """A call on a list, in parts."""
+        return cls(parts.shape).replaced(parts=parts)
+
+    def identity_matrix(self) -> Tensor:
+        """Identity matrices for the samples of images or volumes of the call, on their device."""
+        shape = self.shape or ()
+        axes = len(shape) - 1
+        device, dtype = self.identity or (torch.device("cpu"), torch.float32)
+        return torch.eye(axes, device=device, dtype=dtype).expand(shape[0], axes, axes)
 
     def replaced(self, **values: Any) -> Record:
         """The same call with other values."""

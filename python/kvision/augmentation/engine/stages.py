@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import torch
@@ -227,14 +227,29 @@ class Nested(Chain):
 
 
 @dataclass
-class Warp(Stage):
-    """Neighboring geometric augmentations that were executed as one warp."""
+class ByMatrix(Stage):
+    """Pixels moved by a matrix (B, 3, 3) of each sample."""
 
     matrix: Tensor
+
+    def move_points(self, points: Tensor) -> Tensor:
+        return transform_points(self.matrix.to(points), points)
+
+    def move_points_back(self, points: Tensor) -> Tensor:
+        return transform_points(torch.linalg.inv(self.matrix).to(points), points)
+
+    def product(self, matrix: Tensor) -> Tensor:
+        return self.matrix @ matrix.to(self.matrix)
+
+
+@dataclass
+class Resampled(Stage):
+    """Neighboring geometric augmentations that were executed as one resampling."""
+
     source: Sequence[int]
     size: Sequence[int]
     resampling: Resampling
-    parts: Sequence[Stage] = ()  # the augmentations by themselves, where one of them removes boxes
+    parts: Sequence[Stage] = field(default=(), kw_only=True)  # each by itself, where one of them removes boxes
 
     @property
     def removes_boxes(self) -> bool:
@@ -246,11 +261,10 @@ class Warp(Stage):
     def keeps_centers(self, centers: Tensor) -> Tensor | None:
         return Chain(self.parts).keeps_centers(centers)
 
-    def move_points(self, points: Tensor) -> Tensor:
-        return transform_points(self.matrix.to(points), points)
 
-    def move_points_back(self, points: Tensor) -> Tensor:
-        return transform_points(torch.linalg.inv(self.matrix).to(points), points)
+@dataclass
+class Warp(Resampled, ByMatrix):
+    """One warp."""
 
     def move_masks(self, masks: Tensor, reading: MaskReading) -> Tensor:
         return warp_labels(masks, self.matrix, self.size, self.resampling.for_labels(reading.mode, reading.fill))
@@ -260,9 +274,6 @@ class Warp(Stage):
 
     def invert(self, x: Tensor) -> Tensor:
         return warp(x, self.matrix.to(x.device), self.source, self.resampling.for_inverse(), inverse=False)
-
-    def product(self, matrix: Tensor) -> Tensor:
-        return self.matrix @ matrix.to(self.matrix)
 
 
 @dataclass
@@ -332,73 +343,43 @@ class Applied(Stage):
             self.execution.keeps_map, self.execution.map = False, None
 
 
-class MapLink(NamedTuple):
-    """A map of a chain: an augmentation with its execution."""
-
-    module: Any  # a MapAugmentation
-    execution: Execution
-    flags: dict[str, Any]
-
-    def displacements(self, like: Tensor) -> Tensor:
-        moved: Tensor = self.module.displacements_of(self.execution, self.flags, like)
-        return moved
-
-
 @dataclass
-class Composed(Stage):
-    """Neighboring geometric augmentations, maps among them, that were executed as one resampling."""
+class Composed(Resampled, Chain):
+    """One resampling at the coordinates that matrices and maps compose to."""
 
-    links: Sequence[Tensor | MapLink]  # matrices (B, 3, 3) and maps, the first one first
-    source: Sequence[int]
-    size: Sequence[int]
-    resampling: Resampling
+    stages: Sequence[ByMatrix | Applied]
     antialias: bool
-    _links: Sequence[Tensor] | None = None  # the tensors of `links`, cached
-    parts: Sequence[Stage] = ()  # the augmentations by themselves, where one of them removes boxes
-
-    @property
-    def removes_boxes(self) -> bool:
-        return bool(self.parts)
+    _links: Sequence[Tensor] | None = None  # the tensors of `stages`, cached
 
     def tensors(self, x: Tensor) -> Sequence[Tensor]:
-        """The links as matrices (B, 3, 3) and displacements (B, 2, H, W) for images or masks; kept until `forget`."""
+        """Matrices (B, 3, 3) and displacements (B, 2, H, W) for images or masks; kept until `forget`."""
         if self._links is None or self._links[0].device != x.device:
-            dtype = compute_dtype(x) if x.is_floating_point() else torch.float32
-            like = x if x.dtype == dtype else x.new_empty(0, dtype=dtype)
-            self._links = [
-                link.displacements(like) if isinstance(link, MapLink) else link.to(like) for link in self.links
-            ]
+            like = self._like(x)
+            links = [s.matrix.to(like) if isinstance(s, ByMatrix) else s.displacements(like) for s in self.stages]
+            self._links = [link for link in links if link is not None]
         return self._links
+
+    @staticmethod
+    def _like(x: Tensor) -> Tensor:
+        """Coordinates of images or masks have its type and its device."""
+        dtype = compute_dtype(x) if x.is_floating_point() else torch.float32
+        return x if x.dtype == dtype else x.new_empty(0, dtype=dtype)
 
     def forget(self) -> None:
         """Free the displacements. They can be computed again from what was drawn."""
         self._links = None
 
+    def flat(self) -> list[Stage]:
+        return [self]
+
     def run(self, x: Tensor) -> Tensor:
         """The images (B, C, h, w) of the result."""
         return maps.read_composed(x, self.tensors(x), self.size, self.resampling, self.antialias)
 
-    def source_size(self) -> tuple[int, ...]:
-        return tuple(self.source)
-
-    def keeps_centers(self, centers: Tensor) -> Tensor | None:
-        return Chain(self.parts).keeps_centers(centers)
-
-    def maps(self) -> list[Tensor | None]:
-        return [link.execution.chosen for link in self.links if isinstance(link, MapLink) and link.execution.applied]
-
-    def move_points(self, points: Tensor) -> Tensor:
-        for link in self.links:
-            if isinstance(link, Tensor):
-                points = transform_points(link.to(points), points)
-        return points
-
     def move_points_back(self, points: Tensor) -> Tensor:
-        for link, tensor in zip(reversed(self.links), reversed(self.tensors(points))):
-            if isinstance(link, MapLink):
-                points = maps.read_positions(tensor, points)
-            else:
-                points = transform_points(torch.linalg.inv(link).to(points), points)
+        for stage, link in zip(reversed(self.stages), reversed(self.tensors(points))):
+            is_map = isinstance(stage, Applied)
+            points = maps.read_positions(link, points) if is_map else stage.move_points_back(points)
         return points
 
     def move_masks(self, masks: Tensor, reading: MaskReading) -> Tensor:
@@ -416,27 +397,22 @@ class Composed(Stage):
 
     def _inverse(self, x: Tensor) -> tuple[Tensor, Tensor]:
         """Where the pixels of the image are in the result, (B, H, W, 2), and whether they are there, (B, 1, H, W)."""
-        like = x.new_empty(0, dtype=compute_dtype(x) if x.is_floating_point() else torch.float32)
-        height, width = self.source
-        points = maps.pixel_positions(height, width, like).expand(x.shape[0], -1, 2)
-        converged = torch.ones((x.shape[0], height, width), dtype=torch.bool, device=x.device)
-        for link in self.links:
-            if isinstance(link, MapLink):
-                back, inside = maps.find_everywhere(link.displacements(like), points.unflatten(1, (height, width)))
-                points, converged = back.flatten(1, 2), converged & inside
+        like, size = self._like(x), (self.source[0], self.source[1])
+        points = maps.pixel_positions(*size, like).expand(x.shape[0], -1, 2)
+        converged = torch.ones((x.shape[0], *size), dtype=torch.bool, device=x.device)
+        for stage in self.stages:
+            displacements = stage.displacements(like)
+            if displacements is None:
+                points = stage.move_points(points)
             else:
-                points = transform_points(link.to(like), points)
-        return points.unflatten(1, (height, width)), converged[:, None]
+                back, inside = maps.find_everywhere(displacements, points.unflatten(1, size))
+                points, converged = back.flatten(1, 2), converged & inside
+        return points.unflatten(1, size), converged[:, None]
 
     def product(self, matrix: Tensor) -> Tensor:
-        for link in self.links:
-            if isinstance(link, Tensor):
-                matrix = link @ matrix.to(link)
+        for stage in self.stages:
+            matrix = stage.product(matrix) if isinstance(stage, ByMatrix) else matrix  # maps have none
         return matrix
-
-    @property
-    def keeps_lines(self) -> bool:
-        return not any(isinstance(link, MapLink) for link in self.links)
 
 
 def _refuse(self: Any, *_: Any) -> Any:

@@ -2,7 +2,7 @@
 
 A turn is a run of children for the samples that want it at that point, which are one batch. `plan_turns` puts the sequences of all
 samples into as few turns as they need, and nothing runs that no sample wants. Samples may have different sizes between turns:
-`SampleRows` keeps them as rows of the tensors that turns gave, and reads them together again.
+`SampleRows` keeps them.
 """
 
 from __future__ import annotations
@@ -15,20 +15,15 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from kvision._ops import FastPath
-from kvision._torch_compat import in_function_transform
 from kvision.augmentation.engine.augmentation import AugmentationBase
+from kvision.augmentation.engine.call_context import CallContext
 from kvision.augmentation.engine.record import Child
-from kvision.augmentation.engine.runs import CallContext, execute
+from kvision.augmentation.engine.runs import execute
 from kvision.augmentation.engine.stages import Chain, MaskReading, Stage
-from kvision.augmentation.warp_and_color import SAME, make_pass
+from kvision.augmentation.sample_rows import SampleRows, index_of, is_channels_last, read_rows
+from kvision.augmentation.warp_and_color import SAME
 from kvision.core.exceptions import ShapeError, ValueCheckError
 from kvision.core.pixels import to_unit
-
-# Rows of batches (B, C, H, W) of one size and type as one batch, by their numbers as if these were one.
-_copy_rows = FastPath(
-    "copy_rows", (torch.float32, torch.float64, torch.float16, torch.bfloat16, torch.uint8, torch.int64, torch.bool)
-)
 
 # --- the plan -------------------------------------------------------------------------------------------------------
 
@@ -69,105 +64,6 @@ def plan_turns(sequences: Sequence[Sequence[int]]) -> list[Wanted]:
     return turns
 
 
-# --- samples of different sizes -------------------------------------------------------------------------------------
-
-
-class SampleRows:
-    """The samples of a batch, each a row of a tensor: first of the batch itself, then of what turns gave.
-
-    Args:
-        x: images, masks or what else has a row of each sample.
-    """
-
-    def __init__(self, x: Tensor) -> None:
-        self._whole: Tensor | None = x  # while all samples are the rows of one tensor
-        self._count = len(x)
-        self._at: list[tuple[Tensor, int]] = []
-
-    def by_size(self, samples: Sequence[int]) -> list[list[int]]:
-        """The samples in groups of one size."""
-        if self._whole is not None:
-            return [list(samples)] if samples else []
-        groups: dict[torch.Size, list[int]] = {}
-        for sample in samples:
-            groups.setdefault(self._at[sample][0].shape[1:], []).append(sample)
-        return list(groups.values())
-
-    def size_of(self, sample: int) -> tuple[int, ...]:
-        """Height and width of a sample; depth, height and width of volumes."""
-        return tuple((self._at[sample][0] if self._whole is None else self._whole).shape[2:])
-
-    def take(self, samples: Sequence[int]) -> Tensor:
-        """The samples, which have one size, as a batch."""
-        if self._whole is not None:
-            return read_rows(self._whole, samples)
-        parts: dict[int, tuple[Tensor, list[int], list[int]]] = {}
-        for at, sample in enumerate(samples):
-            tensor, row = self._at[sample]
-            _, rows, positions = parts.setdefault(id(tensor), (tensor, [], []))
-            rows.append(row)
-            positions.append(at)
-        tensors = [read_rows(tensor, rows) for tensor, rows, _ in parts.values()]
-        if len(tensors) == 1:
-            return tensors[0]
-        if len({tensor.dtype for tensor in tensors}) > 1:
-            tensors = [to_unit(tensor) if tensor.dtype == torch.uint8 else tensor for tensor in tensors]
-        return _interleaved(tensors, [positions for _, _, positions in parts.values()])
-
-    def put(self, samples: Sequence[int], y: Tensor) -> None:
-        """Let the samples, in ascending order, be the rows of `y`."""
-        if len(samples) == self._count:
-            self._whole, self._at = y, []
-            return
-        if self._whole is not None:
-            whole, self._whole = self._whole, None
-            self._at = [(whole, row) for row in range(self._count)]
-        for row, sample in enumerate(samples):
-            self._at[sample] = y, row
-
-
-def read_rows(x: Tensor, rows: Sequence[int]) -> Tensor:
-    """Rows of `x` as a batch of the same layout: `x` itself or a view where they follow each other."""
-    first, count = rows[0], len(rows)
-    if rows[-1] - first == count - 1 and all(row == first + i for i, row in enumerate(rows)):
-        return x if count == len(x) else x[first : first + count]
-    if x.dim() == 4 and _copy_rows.serves(x):
-        copied: Tensor = _copy_rows.kernel([x], list(rows))
-        return copied
-    index = _index(rows, x)
-    if _is_channels_last(x):
-        return x.permute(0, 2, 3, 1).index_select(0, index).permute(0, 3, 1, 2)
-    return x.index_select(0, index)
-
-
-def _is_channels_last(x: Tensor) -> bool:
-    return x.dim() == 4 and not x.is_contiguous() and x.is_contiguous(memory_format=torch.channels_last)
-
-
-def _index(rows: Sequence[int], like: Tensor) -> Tensor:
-    return torch.tensor(rows, device="cpu").to(like.device, non_blocking=True)
-
-
-def _interleaved(tensors: Sequence[Tensor], positions: Sequence[Sequence[int]]) -> Tensor:
-    """One batch of the rows of tensors, which come to these positions."""
-    first, dtype = tensors[0], tensors[0].dtype
-    if first.dim() == 4 and all(tensor.dtype == dtype and _copy_rows.serves(tensor) for tensor in tensors):
-        rows_of_positions = sorted((at, row) for row, at in enumerate(chain(*positions)))
-        copied: Tensor = _copy_rows.kernel(list(tensors), [row for _, row in rows_of_positions])
-        return copied
-    has_one_type = all(tensor.dtype == dtype for tensor in tensors)
-    needs_graph = torch.is_grad_enabled() and any(tensor.requires_grad for tensor in tensors)
-    if needs_graph or not has_one_type or in_function_transform():
-        order = torch.tensor([at for part in positions for at in part], device="cpu").argsort()
-        return read_rows(torch.cat(list(tensors)), order.tolist())
-    layout = torch.channels_last if _is_channels_last(first) else torch.contiguous_format
-    shape = (sum(map(len, positions)), *first.shape[1:])
-    y = torch.empty(shape, dtype=dtype, device=first.device, memory_format=layout)
-    for tensor, rows in zip(tensors, positions):
-        y.index_copy_(0, _index(rows, y), tensor)
-    return y
-
-
 # --- execution ------------------------------------------------------------------------------------------------------
 
 
@@ -192,49 +88,47 @@ def turns_of(
     return turns
 
 
-def execute_turns(x: Tensor, turns: Sequence[Turn], context: CallContext) -> tuple[Tensor, Chain, list[Child]]:
+def execute_turns(x: Tensor, turns: Sequence[Turn], context: CallContext) -> tuple[Tensor, list[Stage], list[Child]]:
     """Run turns on images (B, C, H, W); gives the result, what labels have to follow, and the children with their samples.
 
     Seeds of the context are those of neighboring rows of the batch, as many rows for each.
     """
     if x.dtype == torch.uint8 and any(_leaves_bytes(child.module) for turn in turns for child in turn.children):
         x = to_unit(x)  # for all batches, whoever wants that child
-    if not x.is_contiguous() and not _is_channels_last(x):
+    if not x.is_contiguous() and not is_channels_last(x):
         x = x.contiguous()  # other strides would be those of some groups of samples and not of others
     rows, batch = SampleRows(x), len(x)
     stages: list[Stage] = []
     executed: list[Child] = []
     for turn in turns:
         for samples in rows.by_size(turn.samples):
-            labels = (
-                None if context.labels is None else context.labels.of_samples(_wrap(stages, samples, batch), samples)
-            )
+            labels = context.labels
+            if labels is not None:
+                labels = labels.of_samples(_wrap(stages, samples, batch), samples)
             own = context._replace(output=SAME, labels=labels, seed=_seed_of(context.seed, samples, batch))
             children = [replace(child, samples=samples, batch=batch) for child in turn.children]
             source = rows.take(samples)
             if turn.parts is None:
-                y, stage = execute(source, children, own, turn.position)
+                y, done = execute(source, children, own, turn.position)
             else:
-                y, stage, children = _execute_parts(source, turn, own, children)
+                y, done, children = _execute_parts(source, turn, own, children)
             rows.put(samples, y)
             size = tuple(x.shape[2:]) if source.shape[2:] == x.shape[2:] else None
-            stages += stage.stages if len(samples) == batch else [SomeSamples(stage, samples, batch, size)]
+            stages += done if len(samples) == batch else [SomeSamples(done, samples, batch, size)]
             executed += children
     sizes = [rows.size_of(group[0]) for group in rows.by_size(range(batch))]
     if len(sizes) > 1:
         raise ShapeError(
             f"{context.op}: expected children that give all samples one size, got {sizes[0]} and {sizes[1]}"
         )
-    y = rows.take(range(batch)) if batch else x
-    if context.output != SAME:
-        y, _ = make_pass(None, output=context.output).run(y, None)
+    y = context.converted(rows.take(range(batch)) if batch else x)
     has_parts = any(isinstance(stage, SomeSamples) for stage in stages)
-    return y, Chain([Turns(stages)] if has_parts else stages), executed
+    return y, [Turns(stages)] if has_parts else stages, executed
 
 
 def _execute_parts(
     x: Tensor, turn: Turn, context: CallContext, children: Sequence[Child]
-) -> tuple[Tensor, Chain, list[Child]]:
+) -> tuple[Tensor, list[Stage], list[Child]]:
     """Run children of which each sample gets one as one run, in which the others change nothing."""
     assert turn.parts is not None
     is_whole = len(x) == children[0].batch
@@ -245,8 +139,8 @@ def _execute_parts(
         for row in child.rows:
             owners[row] = number
     owner = torch.tensor(owners, device="cpu")
-    y, stage = execute(x, children, context._replace(once=True, owners=owner), turn.position)
-    return y, stage, [child for child in children if child.samples]
+    y, stages = execute(x, children, context._replace(once=True, owners=owner), turn.position)
+    return y, stages, [child for child in children if child.samples]
 
 
 def joins(module: Any, shape: tuple[int, ...]) -> Any:
@@ -275,7 +169,7 @@ def joins(module: Any, shape: tuple[int, ...]) -> Any:
 def _wrap(before: Sequence[Stage], samples: Sequence[int], batch: int) -> Callable[[list[Stage]], Stage]:
     """What stages of some samples are for all, after the turns before them."""
     earlier = list(before)
-    return lambda stages: Turns([*earlier, SomeSamples(Chain(stages), samples, batch, None)])
+    return lambda stages: Turns([*earlier, SomeSamples(stages, samples, batch)])
 
 
 def _seed_of(seed: Any, rows: Sequence[int], batch: int) -> Any:
@@ -294,72 +188,60 @@ def _leaves_bytes(module: Any) -> bool:
 # --- what labels follow ---------------------------------------------------------------------------------------------
 
 
-class SomeSamples(Stage):
-    """What a stage did to some samples of a batch. The others kept their positions.
+class SomeSamples(Chain):
+    """What was done to some samples of a batch. The others kept their positions.
 
     Args:
-        stage: of those samples alone.
+        stages: of those samples alone.
         samples: their numbers in the batch.
         batch: how many samples there are.
         size: of the images of all samples before it; None where they had several sizes.
     """
 
-    def __init__(self, stage: Stage, samples: Sequence[int], batch: int, size: tuple[int, ...] | None) -> None:
-        self.stage, self.samples, self.batch, self.size = stage, samples, batch, size
-
-    @property
-    def keeps_lines(self) -> bool:
-        return self.stage.keeps_lines
-
-    @property
-    def changes_boxes(self) -> bool:
-        return self.stage.changes_boxes
-
-    @property
-    def removes_boxes(self) -> bool:
-        return self.stage.removes_boxes
+    def __init__(
+        self, stages: Sequence[Stage], samples: Sequence[int], batch: int, size: tuple[int, ...] | None = None
+    ) -> None:
+        super().__init__(stages)
+        self.samples, self.batch, self.size = samples, batch, size
 
     def source_size(self) -> tuple[int, ...] | None:
         return self.size
 
     def maps(self) -> list[Tensor | None]:
         moved: list[Tensor | None] = []
-        for chosen in self.stage.maps():
+        for chosen in super().maps():
             index = torch.tensor(self.samples, device="cpu" if chosen is None else chosen.device)
             all_samples = torch.zeros(self.batch, dtype=torch.bool, device=index.device)
             moved.append(all_samples.index_copy(0, index, torch.ones_like(index).bool() if chosen is None else chosen))
         return moved
 
     def move_points(self, points: Tensor) -> Tensor:
-        return self._replaced(points, self.stage.move_points)
+        return self._replaced(points, super().move_points)
 
     def move_points_back(self, points: Tensor) -> Tensor:
-        return self._replaced(points, self.stage.move_points_back)
+        return self._replaced(points, super().move_points_back)
 
     def keeps_centers(self, centers: Tensor) -> Tensor | None:
-        own = self.stage.keeps_centers(read_rows(centers, self.samples))
+        own = Chain(self.stages).keeps_centers(read_rows(centers, self.samples))
         if own is None:
             return None
         everything = torch.ones(centers.shape[:2], dtype=torch.bool, device=own.device)
-        return everything.index_copy(0, _index(self.samples, own), own)
+        return everything.index_copy(0, index_of(self.samples, own), own)
 
     def product(self, matrix: Tensor) -> Tensor:
-        return self._replaced(matrix, self.stage.product)
+        return self._replaced(matrix, super().product)
 
     def _replaced(self, x: Tensor, move: Callable[[Tensor], Tensor]) -> Tensor:
         """`x` (B, ...) with the samples moved."""
         moved = move(read_rows(x, self.samples))
-        return x.to(moved).index_copy(0, _index(self.samples, moved), moved)
+        return x.to(moved).index_copy(0, index_of(self.samples, moved), moved)
 
     def flat(self) -> list[Stage]:
         parts: list[Stage] = []
-        for part in self.stage.flat():
+        for part in super().flat():
             size = self.size if part.source_size() in (self.size, None) else None
-            parts.append(SomeSamples(part, self.samples, self.batch, size))
+            parts.append(SomeSamples([part], self.samples, self.batch, size))
         return parts
-
-    def forget(self) -> None:
-        self.stage.forget()
 
 
 class Turns(Chain):
@@ -371,7 +253,7 @@ class Turns(Chain):
                 "AugmentationSequential: expected containers that filter no boxes inside of a choice of each sample; filter them "
                 "in the container around it"
             )
-        return super().concerns_all(has_boxes)
+        return False
 
     def move_masks(self, masks: Tensor, reading: MaskReading) -> Tensor:
         return self._through(masks, self.stages, lambda stage, x: stage.move_masks(x, reading))
@@ -388,6 +270,8 @@ class Turns(Chain):
         rows = SampleRows(x)
         everything = range(len(x))
         for stage in stages:
-            samples, own = (stage.samples, stage.stage) if isinstance(stage, SomeSamples) else (everything, stage)
-            rows.put(samples, move(own, rows.take(samples)))
+            samples: Sequence[int] = everything
+            if isinstance(stage, SomeSamples):
+                samples, stage = stage.samples, Chain(stage.stages)
+            rows.put(samples, move(stage, rows.take(samples)))
         return rows.take(everything) if len(x) else x

@@ -10,21 +10,15 @@ from torch import Generator, Tensor, nn
 
 from kvision import _check
 from kvision._choices import EachOrOnce, OutputType
-from kvision._tv_tensors import wrap
+from kvision.augmentation.engine.call_context import CallContext
 from kvision.augmentation.engine.image_sequential import ImageSequential, ParamItem
 from kvision.augmentation.engine.record import Record
-from kvision.augmentation.engine.runs import CallContext, Stage
+from kvision.augmentation.engine.stages import Stage
 from kvision.augmentation.inputs import (
     VideoLayout,
     VideoRankError,
-    as_output_type,
-    check_matrix,
-    check_output_type,
-    image_and_matrix,
-    plain_image,
 )
 from kvision.augmentation.keys import Seed
-from kvision.augmentation.samples import inverse_at
 from kvision.color.frames import Frames
 
 __all__ = ["VideoSequential"]
@@ -133,33 +127,28 @@ class VideoSequential(ImageSequential):
         Raises:
             ValueError: `input` has another number of axes.
         """
-        check_output_type(self, output_type)
-        source = input if isinstance(input, Frames) else None
-        if isinstance(input, Frames):
-            like = input._like()
-            video = like[None, None] if input.is_single else like[None]
-            input = video.transpose(1, 2) if self.data_format == "BCTHW" else video
-        given, before = image_and_matrix(self, input)
-        videos = plain_image(self, given)
-        layout = self._layout(videos)
-        x = layout.frames(videos)
-        if before is not None:
-            check_matrix(self, before, x)
-        frames, record = self._execute(
-            x, params, self._of_frames(self._context(seed, generator, source=source), layout.sizes[1])
-        )
-        record.stages.forget()
-        self._keep(record)
-        output = self._with_matrix(wrap(layout.videos(frames), given), before, return_transform, record)
-        return as_output_type(output, output_type)
+        options: dict[str, Any] = {"seed": seed, "generator": generator, "return_transform": return_transform}
+        return super().forward(input, params, extra_args, output_type=output_type, **options)
 
-    def _of_frames(self, context: CallContext, time: int) -> CallContext:
-        return context._replace(frames=time if self.same_on_frame else 1, time=time)
+    def _like(self, frames: Frames) -> Tensor:
+        like = frames._like()
+        video = like[None, None] if frames.is_single else like[None]
+        return video.transpose(1, 2) if self.data_format == "BCTHW" else video
+
+    def _time(self, images: Tensor) -> int:
+        return images.shape[self.data_format.index("T")]
+
+    def _restored(self, y: Tensor, input: Tensor) -> Tensor:
+        return self._layout(input).videos(y)
+
+    def _of_frames(self, context: CallContext) -> CallContext:
+        return context._replace(frames=context.time) if self.same_on_frame else context
 
     def _execute_nested(self, x: Tensor, params: Any, context: CallContext) -> tuple[Tensor, Stage, Record]:
         if context.time == 0 and params is None:
             raise VideoRankError("VideoSequential: expected videos, got the images of another container")
-        return super()._execute_nested(x, params, self._of_frames(context, max(context.time, 1)))
+        context = context._replace(frames=1, time=max(context.time, 1))
+        return super()._execute_nested(x, params, self._of_frames(context))
 
     def inverse(
         self, input: Tensor, params: Sequence[ParamItem] | None = None, extra_args: dict[Any, Any] | None = None
@@ -174,10 +163,7 @@ class VideoSequential(ImageSequential):
         Returns:
             Videos of the size that the input had; 0 where the result has no data of them.
         """
-        layout = self._layout(input)
-        frames = layout.frames(input)
-        record = self._record_to_invert(frames, params)
-        return layout.videos(inverse_at(frames, record.size, record.stages.invert))
+        return super().inverse(input, params)
 
     def known_pixels(self, output: Tensor, params: Sequence[ParamItem] | None = None) -> Tensor:
         """Which pixels of the videos :meth:`inverse` finds in a result; the others were lost in the call, or in part.

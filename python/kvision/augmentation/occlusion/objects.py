@@ -86,13 +86,11 @@ class MaskDropout(DropoutBase, keeps_contract=True):
             execution.found = {"dropped": self._dropped(execution, labels, x)}
         return self._run(x, execution, flags), execution
 
-    def _read_params(self, execution: Execution) -> Params:
-        if execution.params is None:
-            batch, _, height, width = execution.shape
-            found = execution.found or {"dropped": torch.zeros(batch, 1, height, width, dtype=torch.bool, device="cpu")}
-            params = super()._read_params(execution)
-            execution.params = {**params, **self._on_device(found, params["batch_prob"].device)}
-        return execution.params
+    def _find_params(self, execution: Execution) -> Params:
+        batch, _, height, width = execution.shape
+        found = execution.found or {"dropped": torch.zeros(batch, 1, height, width, dtype=torch.bool, device="cpu")}
+        params = super()._find_params(execution)
+        return {**params, **self._on_device(found, params["batch_prob"].device)}
 
     def _params_on_device(self, x: Tensor, execution: Execution, for_users: bool = True) -> Params:
         params = super()._params_on_device(x, execution, for_users)

@@ -322,6 +322,14 @@ def test_type_of_results_without_passes(make, device):
     assert y.is_contiguous(memory_format=torch.channels_last)
 
 
+def test_type_of_results_behind_masks(device):
+    """What reads masks runs by itself, also as the last one."""
+    x, masks = torch.rand(2, 3, 8, 9, device=device), torch.ones(2, 1, 8, 9, dtype=torch.int64, device=device)
+    options = {"output_dtype": torch.float16, "memory_format": torch.channels_last}
+    y, _ = A.AugmentationSequential(A.RandomTransplantation(p=1.0), data_keys=["input", "mask"], **options)(x, masks)
+    assert y.dtype == torch.float16 and y.is_contiguous(memory_format=torch.channels_last)
+
+
 def test_types_of_results_are_checked():
     with pytest.raises(TypeError, match="ImageSequential: expected output_dtype to be uint8 or a floating-point type"):
         A.ImageSequential(output_dtype=torch.int32)

@@ -544,7 +544,7 @@ class ImageSequential(ImageSequentialBase):
         else:
             y, record = self._execute(x, params, self._context(seed, generator, self._time(image), source=source))
             record.stages.forget()
-        self.__dict__["_record"] = record  # as `_keep`, without a call
+        self._keep(record)
         y = self._restored(y, image)
         output = self._with_matrix(y if image is given else wrap(y, given), before, return_transform, record)
         return output if output_type == "pt" else as_output_type(output, output_type)

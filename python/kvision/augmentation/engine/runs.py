@@ -69,17 +69,13 @@ def execute(
     runs = _runs(children, context.plans)
     if context.source is not None and not (runs and _reads_frames(*runs[0])):
         x, context = images_of(context.source), context._replace(source=None)
-    for i, (run, kind) in enumerate(runs):
+    for i, (run, is_joined) in enumerate(runs):
         own = context if i == len(runs) - 1 or context.output is SAME else context._replace(output=SAME)
-        if kind == "joined":
+        if is_joined:
             x, more = _execute_run(x, run, own.after(stages), position)
             stages += more
-        elif kind == "with masks":
-            x, stage = _execute_with_masks(x, run[0], context.after(stages), position)
-            stages.append(stage)
         else:
-            inside = context.after(stages)._replace(position=_position_inside(position))
-            x, stage = _execute_module(x, run[0], inside)
+            x, stage = _execute_alone(x, run[0], context.after(stages), position)
             x = own.converted(x)
             stages.append(stage)
         position, before = position + len(run) + before, 0
@@ -88,9 +84,9 @@ def execute(
     return x if runs else context.converted(x), stages
 
 
-def _reads_frames(run: Sequence[Child], kind: str) -> bool:
+def _reads_frames(run: Sequence[Child], is_joined: bool) -> bool:
     """Whether the first run takes frames of video: augmentations, or a container of such."""
-    return kind == "joined" or (kind == "alone" and getattr(run[0].module, "_reads_frames", False))
+    return is_joined or getattr(run[0].module, "_reads_frames", False)
 
 
 def _read_frames(frames: Frames, like: Tensor, step: Step, running: Running) -> tuple[Tensor, Tensor | None] | None:
@@ -116,8 +112,8 @@ def _execute_list(
     """The first children on a list of images, of which the first one makes it a batch: the result, the stages, how many they
     are, and how many positions in the chain of draws they take.
     """
-    run, kind = _runs(children, context.plans)[0]
-    if kind == "joined" and run[0].params is None:
+    run, is_joined = _runs(children, context.plans)[0]
+    if is_joined and run[0].params is None:
         own = context if len(run) == len(children) else context._replace(output=SAME)
         x, modules = images[0], map(id, [child.module for child in run])
         key = ("list", len(images), x.shape[0], x.dtype, position, context.seed is None, own.output, *modules)
@@ -175,9 +171,18 @@ def _execute_list_run(
     return x, [stage, *more]
 
 
-def _execute_with_masks(x: Tensor, child: Child, context: CallContext, position: int) -> tuple[Tensor, Stage]:
-    """An augmentation of images by their masks."""
+def _execute_alone(x: Tensor, child: Child, context: CallContext, position: int) -> tuple[Tensor, Stage]:
+    """An augmentation of images by their masks, another container, or any nn.Module of images."""
     module: Any = child.module
+    if hasattr(module, "_execute_nested"):
+        # Where its chain begins, so that its draws are not those of others:
+        inside = context._replace(position=(position + 1) * 256 % (1 << 20))
+        y, stage, child.record = module._execute_nested(x, child.params, inside)
+        return y, stage
+    if not hasattr(module, "_contribution"):
+        y = module(x)
+        child.foreign_params = getattr(module, "_params", None)
+        return y, Stage()
     masks = [] if context.labels is None else context.labels.masks()
     seed = context.seed_of_samples
     if seed is not None:
@@ -185,11 +190,6 @@ def _execute_with_masks(x: Tensor, child: Child, context: CallContext, position:
     first = masks[0] if masks else None
     y, child.record = module._run_with_masks(x, first, child.params, seed, context.generator_of(module))
     return y, Applied(module, child.record, module.flags)
-
-
-def _position_inside(position: int) -> int:
-    """Where the chain of a container begins that is a child at a position, so that its draws are not those of others."""
-    return (position + 1) * 256 % (1 << 20)
 
 
 def _key(x: Tensor, children: Sequence[Child], context: CallContext, position: int) -> Hashable:
@@ -200,27 +200,26 @@ def _key(x: Tensor, children: Sequence[Child], context: CallContext, position: i
     return (*own, *modules) if source is None else ("frames", *own, *modules)
 
 
-def _runs(children: Sequence[Child], plans: Plans) -> list[tuple[Sequence[Child], str]]:
-    """Split children into augmentations that draw together, and modules that run by themselves, each with how it is executed."""
+def _runs(children: Sequence[Child], plans: Plans) -> list[tuple[Sequence[Child], bool]]:
+    """Split children into augmentations that draw together, with True, and what runs by itself."""
     key = ("runs", *[(id(child.module), child.params is None) for child in children])
     runs, first = [], 0
-    for length, kind in plans.made(key, lambda: _lengths_of_runs(children)):
-        runs.append((children[first : first + length], kind))
+    for length, is_joined in plans.made(key, lambda: _lengths_of_runs(children)):
+        runs.append((children[first : first + length], is_joined))
         first += length
     return runs
 
 
-def _lengths_of_runs(children: Sequence[Child]) -> list[tuple[int, str]]:
-    lengths: list[tuple[int, str]] = []
+def _lengths_of_runs(children: Sequence[Child]) -> list[tuple[int, bool]]:
+    lengths: list[tuple[int, bool]] = []
     before: Child | None = None
     for child in children:
         module: Any = child.module
         is_augmentation = hasattr(module, "_contribution")
         if before is not None and is_augmentation and _draw_together(before, child):
-            lengths[-1] = (lengths[-1][0] + 1, "joined")
+            lengths[-1] = (lengths[-1][0] + 1, True)
         else:
-            kind = "alone" if not is_augmentation else "with masks" if module.needs_masks else "joined"
-            lengths.append((1, kind))
+            lengths.append((1, is_augmentation and not module.needs_masks))
         # What has another size than expected ends a run.
         before = child if is_augmentation and _has_known_size(module) else None
     return lengths
@@ -233,17 +232,6 @@ def _draw_together(before: Child, child: Child) -> bool:
 def _has_known_size(module: Any) -> bool:
     """Whether the size of the result is known before the augmentation runs, and so are the labels that it reads."""
     return module.has_known_size and not module.needs_masks and not module._is_customized()
-
-
-def _execute_module(x: Tensor, child: Child, context: CallContext) -> tuple[Tensor, Stage]:
-    """A module that is no augmentation: another container, or any nn.Module of images."""
-    module: Any = child.module
-    if hasattr(module, "_execute_nested"):
-        y, stage, child.record = module._execute_nested(x, child.params, context)
-        return y, stage
-    y = module(x)
-    child.foreign_params = getattr(module, "_params", None)
-    return y, Stage()
 
 
 # --- runs of augmentations ------------------------------------------------------------------------------------------

@@ -15,8 +15,8 @@ from torch import Tensor
 
 from kvision._dtype import compute_dtype
 from kvision.augmentation import labels
-from kvision.augmentation.columns import Column, Columns, Span
-from kvision.augmentation.draws import SIZED, Request, draw_list_parameters, make_plan
+from kvision.augmentation.columns import Column, Columns, Span, plan_draws
+from kvision.augmentation.draws import SIZED, Request
 from kvision.augmentation.engine.call_context import CallContext
 from kvision.augmentation.engine.call_labels import CallLabels
 from kvision.augmentation.engine.execution import Execution, Params, matrix_type
@@ -239,9 +239,8 @@ def execute_list(
     elif draws:
         keys = context.keys([module], like)
         context.check_seeds(keys, len(images))
-        plan, _, _ = make_plan([request], keys.has_seed, position)
-        numbers = (_numbers(request), own.numbers_of_draws())
-        values = draw_list_parameters(like, keys.keys, keys.seeds_on(like.device), plan, *numbers)
+        (plan,) = plan_draws([request], keys.has_seed, position if keys.has_seed else 0)
+        values = plan.draw_list(like, keys, own.numbers_of_draws())
         if module._derives:
             values = _derived(module, values, images, context.labels)
     columns = Columns(values.to(compute_dtype(like)), Span(0, values.shape[1], False))

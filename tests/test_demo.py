@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import re
 import time
+import timeit
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -39,6 +42,16 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One call of each is timed; how calls take turns has a test of its own."""
+
+    def once(calls: Sequence[Callable[[], Any]], device: torch.device) -> list[list[float]]:
+        return [[timeit.timeit(call, number=1) * 1e3] for call in calls]
+
+    monkeypatch.setattr(sheet, "in_turns", once)
+
+
+@pytest.fixture
 def photos(tmp_path: Path) -> list[Path]:
     paths = [tmp_path / "wide picture.png", tmp_path / "tall.jpg"]
     write_image(paths[0], torch.rand(3, 30, 70))
@@ -46,7 +59,7 @@ def photos(tmp_path: Path) -> list[Path]:
     return paths
 
 
-def test_makes_a_gallery_a_file_per_result_and_a_table(photos, tmp_path, device, capsys):
+def test_makes_a_gallery_a_file_per_result_and_a_table(photos, quick, tmp_path, device, capsys):
     out = tmp_path / "results" / "here"
     assert demo.main([*map(str, photos), "--out", str(out), "--device", device.type]) == 0
 
@@ -75,14 +88,14 @@ def test_makes_a_gallery_a_file_per_result_and_a_table(photos, tmp_path, device,
 
 
 @pytest.mark.slow
-def test_says_which_backend_served(photos, tmp_path, capsys):
+def test_says_which_backend_served(photos, quick, tmp_path, capsys):
     with K.backend("reference"):
         demo.main([str(photos[0]), "--out", str(tmp_path / "out"), "--device", "cpu"])
     printed = capsys.readouterr().out
     assert "native" not in printed and printed.count("reference") == len(OPERATORS) + 1
 
 
-def test_takes_sample_photographs_by_default(tmp_path, capsys, monkeypatch):
+def test_takes_sample_photographs_by_default(quick, tmp_path, capsys, monkeypatch):
     pytest.importorskip("skimage")
     monkeypatch.setattr(demo, "SAMPLES", demo.SAMPLES[:1])
     monkeypatch.setattr(demo, "STEPS", 1)
@@ -202,7 +215,7 @@ def test_the_largest_page_has_less_than_a_megabyte(monkeypatch: pytest.MonkeyPat
     assert (tmp_path / "page.jpg").stat().st_size < 1_000_000 and quality >= 64
 
 
-def test_makes_the_contact_sheet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_makes_the_contact_sheet(quick: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("skimage")
     monkeypatch.setattr(contact_sheet, "STEPS", 2)
     assert contact_sheet.main([str(tmp_path / "results.jpg")]) == 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import subprocess
 import sys
@@ -19,7 +20,9 @@ from torch.nn.parallel import DistributedDataParallel
 
 import kvision as K
 from kvision import _backend
-from op_tests import assert_close
+
+# Of float32. The processes import nothing else of the tests, which would take longer than all they do.
+assert_close = functools.partial(torch.testing.assert_close, rtol=2e-5, atol=2e-6)
 
 pytestmark = pytest.mark.programs
 

@@ -15,6 +15,7 @@ from torch.autograd import forward_ad
 
 import kvision as K
 from benchmarks.sample_calls import Size, sample_calls
+from benchmarks.sample_calls.augmentations import IMAGES, VOLUMES
 
 CALLS = {call.name: call for call in sample_calls() if call.axes}
 SIZES = (Size(2, 3, 8, 10), Size(2, 3, 24, 32))
@@ -84,6 +85,35 @@ def test_calls_do_not_depend_on_defaults(surrounding: str, device: torch.device)
             except (RuntimeError, NotImplementedError) as error:
                 differs.append(f"{name}: {error}")
             break
+    assert not differs, "\n".join(differs)
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("dtype", [torch.float64, torch.bfloat16], ids=str)
+def test_augmentations_do_not_depend_on_the_default_dtype(dtype: torch.dtype, device: torch.device) -> None:
+    images, volumes = torch.rand(3, 3, 16, 301, device=device), torch.rand(3, 3, 6, 7, 301, device=device)
+    variants = {a.name: (a.make(p=1.0), images) for a in IMAGES if a.name != "RandomFrost"}  # of a larger texture
+    variants |= {a.name: (a.make(p=1.0), volumes) for a in VOLUMES}
+    variants["RandomFrost"] = K.augmentation.RandomFrost(torch.rand(3, 20, 310), p=1.0), images
+    variants["CoarseDropout of noise"] = K.augmentation.CoarseDropout(fill="random", p=1.0), images
+    for name in ("RandAugment", "TrivialAugment"):
+        variants[name] = getattr(K.augmentation.auto, name)(*((2, 10) if name == "RandAugment" else ())), images
+    for name in ("gaussian_noise", "speckle_noise", "impulse_noise", "snow", "spatter"):
+        variants[name] = K.augmentation.CommonCorruption(name, 3), images
+    differs = []
+    for name, (augment, x) in variants.items():
+        for values in (x, x.double()):
+            torch.manual_seed(3)
+            expected = augment(values)
+            torch.manual_seed(3)
+            with default_dtype(dtype):
+                try:
+                    actual = augment(values)
+                except (RuntimeError, TypeError) as error:
+                    differs.append(f"{name}: {error}")
+                    continue
+            if actual.dtype != expected.dtype or not torch.equal(actual, expected):
+                differs.append(name)
     assert not differs, "\n".join(differs)
 
 

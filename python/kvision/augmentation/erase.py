@@ -34,8 +34,8 @@ def is_line(images: Tensor, grids: Tensor) -> Tensor:
     cell = (min(height, width) / number).floor().clamp(min=2)
     line = (cell * of_line).floor().clamp(min=1)
     center_y, center_x = (height - 1) / 2, (width - 1) / 2
-    y = torch.arange(height, device=images.device)[:, None] - center_y
-    x = torch.arange(width, device=images.device) - center_x
+    y = torch.arange(height, dtype=torch.float64, device=images.device)[:, None] - center_y
+    x = torch.arange(width, dtype=torch.float64, device=images.device) - center_x
     cos, sin = angle.cos(), angle.sin()
     along_x = (cos * x - sin * y + center_x).round() - (offset_x * cell).floor()
     along_y = (sin * x + cos * y + center_y).round() - (offset_y * cell).floor()

@@ -317,6 +317,6 @@ class PixelNoise(NamedTuple):
 
     def normal(self, shape: Sequence[int], map: int = 0) -> Tensor:
         """Standard normal noise (B, C, H, W), float32."""
-        zero = torch.zeros(tuple(shape), device=self.device)
+        zero = torch.zeros(tuple(shape), dtype=torch.float32, device=self.device)
         noise: Tensor = gaussian_noise(zero, constant(((0.0, 1.0),), zero), *self.arguments(map))
         return noise

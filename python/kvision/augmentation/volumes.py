@@ -208,7 +208,7 @@ class _RandomFlip3D(GeometricAugmentationBase3D, keeps_contract=True):
         super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
 
     def compute_transformation(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
-        matrix = torch.eye(4, device=input.device)
+        matrix = torch.eye(4, dtype=torch.float32, device=input.device)
         # Assigning numbers to its entries would copy them from the host, and wait.
         matrix[self.axis, self.axis].fill_(-1)
         matrix[self.axis, 3].fill_(input.shape[-1 - self.axis] - 1)

@@ -117,7 +117,7 @@ class PolicyAugmentBase(ImageSequential):
         self._length = max(len(part) for part in self.policy)
         # By sub-policy and step: number of the operation, probability, lowest and highest value, neutral value.
         rows = [[_row(part[i] if i < len(part) else None) for i in range(self._length)] for part in self.policy]
-        self._table = torch.tensor(rows, device="cpu")
+        self._table = torch.tensor(rows, dtype=torch.float32, device="cpu")
         names = [{part[i].name for part in self.policy if i < len(part)} for i in range(self._length)]
         self._names = [tuple(sorted(of_step)) for of_step in names] * count
 

@@ -61,7 +61,9 @@ class Impulses(NamedTuple):
 
     def draw(self, noise: PixelNoise, shape: Sequence[int], number: int) -> Tensor:
         """The map with a number of its own among those of an augmentation, float32."""
-        return _impulses(torch.full(tuple(shape), _NO_IMPULSE, device=noise.device), noise, self.amount)
+        return _impulses(
+            torch.full(tuple(shape), _NO_IMPULSE, dtype=torch.float32, device=noise.device), noise, self.amount
+        )
 
 
 # The same in one pass over images of any type, which draws the noise.
@@ -100,7 +102,9 @@ class Factors(NamedTuple):
 
     def draw(self, noise: PixelNoise, shape: Sequence[int], number: int) -> Tensor:
         """The map with a number of its own among those of an augmentation, float32."""
-        return _normal_factors(torch.ones(tuple(shape), device=noise.device), noise, self.deviation, MULTIPLY)
+        return _normal_factors(
+            torch.ones(tuple(shape), dtype=torch.float32, device=noise.device), noise, self.deviation, MULTIPLY
+        )
 
 
 def _gaussian_blur(x: Tensor, drawn: Params, sigma: float) -> Tensor:

@@ -318,7 +318,7 @@ def _mean_of_nine(x: Tensor) -> Tensor:
 
 def _distances(is_marked: Tensor) -> Tensor:
     """The Euclidean distances (B, 1, H, W) to the nearest marked pixel, at most `_FAR`: along rows, and then along columns."""
-    squares = torch.where(is_marked, 0.0, float(_FAR**2))
+    squares = (~is_marked).float() * _FAR**2
     for pad in ((_FAR, _FAR), (0, 0, _FAR, _FAR)):
         padded, axis = F.pad(squares, pad, value=float(_FAR**2)), 3 if len(pad) == 2 else 2
         for moved in range(-_FAR + 1, _FAR):

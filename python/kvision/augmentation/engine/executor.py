@@ -147,7 +147,7 @@ class Executor(Declaration):
         """The columns (B, P) of samples of which none is chosen."""
         if self._param_generator is None or self._draws_by_name:
             return torch.empty(shape[0], 0, device="cpu")
-        return self._identity_values(shape, torch.empty(0, device="cpu")).expand(shape[0], -1)
+        return self._identity_values(shape, torch.empty(0, dtype=torch.float32, device="cpu")).expand(shape[0], -1)
 
     def _values_on_host(self, execution: Execution) -> Tensor:
         """The values (B, P) for decisions of the host, without waiting for what the device has drawn."""

@@ -75,7 +75,7 @@ class ErasingDropout(DropoutBase, keeps_contract=True):
 
     def is_dropped(self, params: Params, shape: tuple[int, ...], device: torch.device) -> Tensor:
         kept = torch.ones((shape[0], 1, *shape[-2:]), dtype=torch.uint8, device=device)
-        zero = torch.zeros(1, 1, device=device)
+        zero = torch.zeros(1, 1, dtype=torch.float32, device=device)
         erased: Tensor = self.eraser(kept, self._parts(params, shape, device), zero)
         return erased == 0
 

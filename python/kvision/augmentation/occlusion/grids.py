@@ -102,7 +102,7 @@ class GridDropout(HoleDropout, keeps_contract=True):
             u: the offsets (B, R, C) of holes, as fractions of the free pixels of their units; None for a shift.
             axis: the axis of the table along which there is nothing to tell.
         """
-        table = constant(units_along(size, counts, self.ratio), torch.empty(0, device=device))
+        table = constant(units_along(size, counts, self.ratio), torch.empty(0, device=device), torch.float32)
         first, hole, free = (table if at is None else table[at]).unsqueeze(axis).unbind(1)
         if u is None:
             return (first + shift).minimum(size - hole), hole

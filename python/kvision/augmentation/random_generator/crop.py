@@ -258,7 +258,7 @@ def center_crop_generator(
         tensor([2., 1.])
     """
     h, w = parse_size("center_crop_generator", size)
-    x = torch.full((batch_size,), float((width - w) // 2), device=device)
-    y = torch.full((batch_size,), float((height - h) // 2), device=device)
+    x = torch.full((batch_size,), float((width - w) // 2), dtype=torch.float32, device=device)
+    y = torch.full((batch_size,), float((height - h) // 2), dtype=torch.float32, device=device)
     shape = (batch_size, 1, height, width)
     return box_params(x, y, torch.full_like(x, w), torch.full_like(y, h), shape, (h, w))

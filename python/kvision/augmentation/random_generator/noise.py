@@ -92,6 +92,6 @@ class SaltAndPepperGenerator(RandomGeneratorBase):
         return [r.uniform() for r in self._ranges]
 
     def pixel_params(self, columns: Tensor, shape: Shape, noise: PixelNoise) -> dict[str, Tensor]:
-        gray = torch.full((shape[0], 1, *shape[-2:]), 0.5, device=columns.device)
+        gray = torch.full((shape[0], 1, *shape[-2:]), 0.5, dtype=torch.float32, device=columns.device)
         hit = salt_and_pepper(gray, columns.detach(), *noise.arguments()).expand(*shape)
         return {"mask_salt": hit == 1, "mask_pepper": hit == 0}

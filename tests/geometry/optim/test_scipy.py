@@ -108,9 +108,10 @@ def relative_difference(name: str, loss: str, count: int) -> list[tuple[float, f
 
 @pytest.mark.sweep
 @pytest.mark.parametrize("name", MODELS)
-def test_solutions_are_those_of_scipy(name: str) -> None:
-    """A tenth of the 200 problems; `python tests/geometry/optim/test_scipy.py` compares all."""
-    for loss in LOSSES[list(MODELS).index(name) % 2 :: 2]:
+def test_solutions_are_those_of_scipy(name: str, sizes: str) -> None:
+    """A tenth of the 200 problems; `python tests/geometry/optim/test_scipy.py` compares all, `make test` one of each model."""
+    i = list(MODELS).index(name)
+    for loss in LOSSES[i % 2 :: 2] if sizes == "all" else [LOSSES[i % len(LOSSES)]]:
         for parameters, cost, apart in relative_difference(name, loss, 1):
             assert abs(cost) < 1e-10 and parameters < 1e-5 and apart < 1e-7, (loss, parameters, cost, apart)
 

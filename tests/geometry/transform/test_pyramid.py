@@ -74,6 +74,8 @@ def test_details_are_differences(size, border, device, backend):
             0,
             1e-2 if dtype == torch.bfloat16 else 2e-3 if dtype == torch.float16 else 2e-6,
         )
+    if size != (5, 7):
+        return  # derivatives and transforms are of a part of the images
     a, b = (x[:1, :1, :4, :6].double().requires_grad_() for x in (smaller[..., :2, :3], image))
     assert torch.autograd.gradcheck(lambda a, b: _detail(a, b, *options), (a, b))
     assert torch.autograd.gradgradcheck(lambda a, b: _detail(a, b, *options), (a, b))

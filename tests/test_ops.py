@@ -463,10 +463,10 @@ def test_every_condition_is_stated_in_info():
 
 
 def test_info_names_flavors_of_opencv(monkeypatch):
-    from kvision import info
+    from kvision import _hints, info
 
     assert "overwrite" not in info.report()
-    monkeypatch.setattr(info.metadata, "version", lambda name: "5.0")
+    monkeypatch.setattr(_hints.metadata, "version", lambda name: "5.0")
     text = " ".join(info.report().split())
     assert "opencv-python 5.0 and opencv-python-headless 5.0 and" in text and "overwrite one another's files" in text
 

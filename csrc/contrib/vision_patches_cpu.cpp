@@ -63,6 +63,39 @@ KV_HD Lanes<int32_t, N> paired_levels(Lanes<int32_t, N> a, Lanes<int32_t, N> b) 
   return level(a) | level(b) << 16;
 }
 
+// Levels of bytes from sums, as numbers.
+template <int N>
+KV_HD Lanes<float, N> levels_of(Lanes<int32_t, N> v) {
+#if defined(__AVX2__)
+  if constexpr (N == 8) {
+    __m256i const level =
+        _mm256_min_epi32(_mm256_max_epi32((__m256i)v, _mm256_setzero_si256()), _mm256_set1_epi32(255));
+    return (Lanes<float, N>)_mm256_cvtepi32_ps(level);
+  }
+#endif
+  v = v > 0 ? v : Lanes<int32_t, N>{};
+  v = v < 255 ? v : Lanes<int32_t, N>{} + 255;
+  return __builtin_convertvector(v, Lanes<float, N>);
+}
+
+// What `store` does with finite numbers.
+template <int N>
+KV_HD void store_finite(float* p, Lanes<float, N> v) {
+  store<N>(p, v);
+}
+template <int N>
+KV_HD void store_finite(BFloat16* p, Lanes<float, N> v) {
+#if defined(__AVX2__)
+  if constexpr (N == 8) {
+    auto bits = (Lanes<uint32_t, N>)v;
+    bits = (bits + 0x7fff + ((bits >> 16) & 1)) >> 16;
+    __m128i const low = _mm256_castsi256_si128((__m256i)bits), high = _mm256_extracti128_si256((__m256i)bits, 1);
+    return _mm_storeu_si128((__m128i*)p, _mm_packus_epi32(low, high));
+  }
+#endif
+  store<N>(p, v);
+}
+
 // Resizes two rows of bytes along x. N pixels of the result, in parts of four, read the taps 2 j and 2 j + 1 of all of
 // them from 16 bytes that begin 2 j pixels after the first one of a part. Parts whose taps are farther apart are
 // computed one by one.
@@ -71,10 +104,10 @@ struct ByteColumns {
   Weights const weights;
   int64_t width, groups;
   int pairs;
-  bool are_near = true;
-  Scratch<int> from;         // by group and part
-  Scratch<uint8_t> index;    // by group
-  Scratch<int16_t> factors;  // by group and pair
+  bool are_near = true, are_nearest = true;  // within 16 bytes the taps of a pair of all of a part, those of all pairs
+  Scratch<int> from;                         // by group and part
+  Scratch<uint8_t> index;                    // by group
+  Scratch<int16_t> factors;                  // by group and pair
 
   explicit ByteColumns(ResizeAxis const& axis)
       : weights(axis),
@@ -91,6 +124,7 @@ struct ByteColumns {
         if (i % 4 == 0) begin = weights.first.data[x];
         int const distance = weights.first.data[x] - begin;
         are_near = are_near && distance + 1 < 16;
+        are_nearest = are_nearest && distance + 2 * pairs <= 16;
         uint8_t* const to = index.data + g * kBytes + 4 * i;
         to[0] = uint8_t(distance), to[2] = uint8_t(distance + 1), to[1] = to[3] = kNoByte;
         for (int j = 0; j < pairs; ++j)
@@ -104,13 +138,15 @@ struct ByteColumns {
 
   KV_HD void write(uint8_t const* a, uint8_t const* b, int32_t* line) const {
     if (!are_near) return write_far(a, b, line);
+    if (pairs == 3 && are_nearest) return write_near<3, true>(a, b, line);
     if (pairs == 3) return write_near<3>(a, b, line);
     if (pairs == 2) return write_near<2>(a, b, line);
     write_near<0>(a, b, line);
   }
 
  private:
-  template <int Pairs>
+  // Once: all pairs are read at once. Special case: 1.1 times as fast, one thread.
+  template <int Pairs, bool Once = false>
   KV_HD void write_near(uint8_t const* a, uint8_t const* b, int32_t* line) const {
     using Words = Lanes<int16_t, 2 * N>;
     int const count = Pairs ? Pairs : pairs;
@@ -119,14 +155,18 @@ struct ByteColumns {
       int const first = from.data[g * kParts], second = from.data[g * kParts + kParts - 1];
       auto const order = load_bytes<kBytes>(index.data + g * kBytes);
       Lanes<int32_t, N> sum_a = broadcast<N>(int32_t(1) << weights.bits >> 1), sum_b = sum_a;
+      auto const parts_of = [&](uint8_t const* row) { return load_parts<kParts>(row + first, row + second); };
+      auto const bytes_a = parts_of(a), bytes_b = parts_of(b);
       for (int j = 0; j < count; ++j, next += 2 * N) {
         Words const weight = read_lanes<2 * N>(next);
-        auto const taps = [&](uint8_t const* row) {
-          return __builtin_bit_cast(
-              Words, permuted_bytes(load_parts<kParts>(row + first + 2 * j, row + second + 2 * j), order));
+        auto const taps = [&](uint8_t const* row, auto bytes) {
+          if constexpr (Once)
+            return __builtin_bit_cast(Words, permuted_bytes(bytes, order + uint8_t(2 * j)));
+          else
+            return __builtin_bit_cast(Words, permuted_bytes(parts_of(row + 2 * j), order));
         };
-        sum_a += pair_products<N>(taps(a), weight);
-        sum_b += pair_products<N>(taps(b), weight);
+        sum_a += pair_products<N>(taps(a, bytes_a), weight);
+        sum_b += pair_products<N>(taps(b, bytes_b), weight);
       }
       write_lanes<N>(line + g * N, paired_levels<N>(sum_a >> weights.bits, sum_b >> weights.bits));
     }
@@ -268,13 +308,11 @@ void write_bytes(VisionPatches<uint8_t> const& p, PatchImage const& image, int b
               } else {
                 for (int k = 0; k < pairs; ++k) add(line(first_pair + k), factors(k));
               }
-              auto levels = __builtin_convertvector(sum >> rows.bits, Lanes<float, N>);
-              levels = min(max(levels, broadcast<N>(0.f)), broadcast<N>(255.f));
-              return Lanes<float, N>(levels * scale + offset);
+              return Lanes<float, N>(levels_of<N>(sum >> rows.bits) * scale + offset);
             };
             if (!out.is_direct()) {
               U* const to = out.row(c, y);
-              for (int64_t x = 0; x < width; x += N) store<N>(to + x, pixels(x));
+              for (int64_t x = 0; x < width; x += N) store_finite<N>(to + x, pixels(x));
               return out.finish_row(c, y);
             }
             int64_t const plane = int64_t(p.patch) * p.patch;
@@ -282,8 +320,8 @@ void write_bytes(VisionPatches<uint8_t> const& p, PatchImage const& image, int b
               U* const to = out.at(b, c, y);
               for (int x = 0;; x = min(x + N, p.patch - N)) {
                 Lanes<float, N> const values = pixels(int64_t(b) * p.patch + x);
-                store<N>(to + x, values);
-                for (int t = 1; t < p.repeats; ++t) store<N>(to + t * plane + x, values);
+                store_finite<N>(to + x, values);
+                for (int t = 1; t < p.repeats; ++t) store_finite<N>(to + t * plane + x, values);
                 if (x + N == p.patch) break;
               }
             }

@@ -66,11 +66,11 @@ KV_HD void levels_of(T const* x, int64_t n, uint16_t* level) {
 struct LevelCounts {
   int32_t of[4][kLevels + 1];
   template <class L>
-  KV_HD void add(L const* level, int64_t n) {
+  KV_HD void add(L const* level, int64_t n, int64_t step = 1) {
     int64_t i = 0;
     for (; i + 4 <= n; i += 4)
-      for (int k = 0; k < 4; ++k) ++of[k][level[i + k]];
-    for (; i < n; ++i) ++of[0][level[i]];
+      for (int k = 0; k < 4; ++k) ++of[k][level[(i + k) * step]];
+    for (; i < n; ++i) ++of[0][level[i * step]];
   }
   KV_HD void sum_up(int32_t (&count)[kLevels]) const {
     auto const row = [&](int k, int i) { return read_lanes<8>(of[k] + i); };

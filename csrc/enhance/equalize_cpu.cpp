@@ -29,9 +29,14 @@ KV_HD bool make_table(int32_t const (&count)[kLevels], bool opencv, T (&table)[k
   return true;
 }
 
-template <class T>
-KV_HD bool has_levels(Equalize<T> const& p) {
-  return __is_same(T, uint8_t) && p.x.step == 1 && p.y.step == 1;
+// Maps n bytes, `step` apart, by the values of a table, four independent look-ups in flight.
+KV_HD void map_bytes(uint8_t const* x, int64_t from, uint8_t* y, int64_t to, int64_t n, uint8_t const* values) {
+  int64_t i = 0;
+  for (; i + 4 <= n; i += 4, x += 4 * from, y += 4 * to) {
+    uint8_t const a = values[x[0]], b = values[x[from]], c = values[x[2 * from]], d = values[x[3 * from]];
+    y[0] = a, y[to] = b, y[2 * to] = c, y[3 * to] = d;
+  }
+  for (; i < n; ++i, x += from, y += to) *y = values[*x];
 }
 
 // Counts the levels of pixels [first, last) of a plane. Keeps them at `levels`, which holds a chunk or, if `keeps`,
@@ -43,10 +48,7 @@ KV_HD void count_levels(Equalize<T> const& p, int64_t plane, int64_t first, int6
   T const* const x = p.x.plane(plane);
   LevelCounts counts{};
   if constexpr (__is_same(T, uint8_t))
-    if (has_levels(p)) {
-      counts.add(x + first, last - first);
-      return counts.sum_up(count);
-    }
+    return counts.add(x + first * p.x.step, last - first, p.x.step), counts.sum_up(count);
   for (int64_t i = first; i < last; i += kChunk) {
     int64_t const n = min(kChunk, last - i);
     uint16_t* const level = keeps ? levels + i - first : levels;
@@ -85,7 +87,7 @@ void equalize(Equalize<T> const& p, int64_t begin, int64_t end) {
   T memory[kChunk], table[kLevels + 1];
   int64_t const pixels = p.x.width, from = p.x.step, to = p.y.step;
   // The levels of a plane: keeping them takes less time than quantizing twice.
-  bool const keeps = p.parts == 1 && !has_levels(p);
+  bool const keeps = p.parts == 1 && !__is_same(T, uint8_t);
   Scratch<uint16_t> const levels(keeps ? pixels : kChunk);
   bool changed = false;
   for (int64_t r = begin; r < end; ++r) {
@@ -105,13 +107,15 @@ void equalize(Equalize<T> const& p, int64_t begin, int64_t end) {
       for (int64_t i = first; i < last; ++i) y[i * to] = x[i * from];
       continue;
     }
-    if constexpr (__is_same(T, uint8_t))
-      if (has_levels(p)) {
-        ByteTable bytes;
-        __builtin_memcpy(bytes.values, table, sizeof(bytes.values));
+    if constexpr (__is_same(T, uint8_t)) {
+      ByteTable bytes;
+      __builtin_memcpy(bytes.values, table, sizeof(bytes.values));
+      if (from == 1 && to == 1)
         bytes.map(x + first, y + first, last - first);
-        continue;
-      }
+      else
+        map_bytes(x + first * from, from, y + first * to, to, last - first, bytes.values);
+      continue;
+    }
     if (keeps) {
       map_levels(levels.data, pixels, table, y, to);
       continue;

@@ -40,25 +40,32 @@ void reverse_row_past_caches(T const* from, T* to, int64_t size) {
   for (; e < size; ++e) to[e] = from[size - 1 - e];
 }
 
-// C: the channels of a pixel, 0 for any number. Elements are reversed one by one, in a buffer.
-template <int C, class T>
+// Pixels of `step` elements. Elements are reversed one by one, in a buffer.
+template <class T>
 void reverse_pixels(T const* from, T* to, int64_t size, int64_t step, T* line) {
-  int64_t const channels = C ? C : step;
   T* const reversed = line + size;
   memcpy(line, from, size_t(size) * sizeof(T));
-  for (int64_t e = 0; e < size; e += channels)
-    for (int64_t c = 0; c < channels; ++c) reversed[e + c] = line[size - channels - e + c];
+  for (int64_t e = 0; e < size; e += step)
+    for (int64_t c = 0; c < step; ++c) reversed[e + c] = line[size - step - e + c];
   memcpy(to, reversed, size_t(size) * sizeof(T));
 }
 
-// Pixels of three bytes: five of them in a vector of 16 bytes, behind one byte that is overwritten next.
-KV_HD void reverse_rgb(uint8_t const* from, uint8_t* to, int64_t size) {
-  using V = Lanes<uint8_t, 16>;
+// Pixels of three elements: as many as fit a vector, at its end in memory and at its beginning in the result, where the
+// next ones overwrite the rest. Special case: 1.2 (bytes) to 3 times as fast, one thread.
+template <class V, int... i>
+KV_HD V reversed_triples(V v, std::integer_sequence<int, i...>) {
+  constexpr int N = int(sizeof...(i)), pixels = N / 3;
+  return __builtin_shufflevector(v, v, (i < 3 * pixels ? N - 3 - i / 3 * 3 + i % 3 : 0)...);
+}
+template <class T>
+void reverse_triples(T const* from, T* to, int64_t size) {
+  constexpr int N = (sizeof(T) < 4 ? 16 : kVectorBytes) / int(sizeof(T));
+  using V = RowVector<T, N* int(sizeof(T))>;
   int64_t e = 0;
-  for (; e + 16 <= size; e += 15) {
-    V const v = load_bytes<16>(from + size - 16 - e);
-    store_bytes<16>(to + e, __builtin_shufflevector(v, v, 13, 14, 15, 10, 11, 12, 7, 8, 9, 4, 5, 6, 1, 2, 3, 0));
-  }
+#pragma GCC unroll 4
+  for (; e + N <= size; e += N / 3 * 3)
+    reinterpret_cast<InMemory<V>*>(to + e)->lanes = reversed_triples(
+        reinterpret_cast<InMemory<V> const*>(from + size - N - e)->lanes, std::make_integer_sequence<int, N>());
   for (; e < size; e += 3)
     for (int c = 0; c < 3; ++c) to[e + c] = from[size - 3 - e + c];
 }
@@ -107,7 +114,7 @@ void flip(Flip<T> const& p, int64_t begin, int64_t end) {
   bool const is_dense = step == 1 && p.x.row_stride == size && p.y.row_stride == size;
   // Special case: 1.0 to 1.7 times as fast as row by row, one thread.
   if (p.rows && p.columns && is_dense && !large) return rotate_planes(p, begin, end);
-  Scratch<T> line(step == 1 || !p.columns ? 0 : 2 * size);
+  Scratch<T> line(step == 1 || step == 3 || !p.columns ? 0 : 2 * size);
   int64_t plane = begin / height, y = begin - plane * height;  // by steps: a row takes little longer than a division
   T const* in = p.x.plane(plane);
   T* out = p.y.plane(plane);
@@ -124,12 +131,10 @@ void flip(Flip<T> const& p, int64_t begin, int64_t end) {
       copy_window(from, p.x.row_size(), p.left * step, to, size);
     else if (step == 1)
       large ? reverse_row_past_caches(from, to, size) : reverse_row(from, to, size);
-    else if (step != 3)
-      reverse_pixels<0>(from, to, size, step, line.data);
-    else if constexpr (sizeof(T) == 1)
-      reverse_rgb(from, to, size);
+    else if (step == 3)
+      reverse_triples(from, to, size);
     else
-      reverse_pixels<3>(from, to, size, step, line.data);
+      reverse_pixels(from, to, size, step, line.data);
   }
 #if defined(__x86_64__)
   if (large) _mm_sfence();  // before another thread reads the result

@@ -16,6 +16,47 @@ namespace {
 // prefetched.
 constexpr int kRowsAhead = 4;
 
+// p[at], p[at + step] and so on. Special case: taps of bytes and of planes of floats in one or two accesses are 1.4 to
+// WW times as fast as one by one, one thread.
+template <int N, class T, class At, class V>
+KV_HD void gather_four(T const* p, At const& at, int64_t step, V (&taps)[4]) {
+  if constexpr (sizeof(T) == 1 && N > 1)
+    if (step == 1 || step == 3) {
+      auto const words_at = [&](int64_t offset) {
+        Lanes<uint32_t, N> words;
+        for (int n = 0; n < N; ++n) {
+          uint32_t word;
+          __builtin_memcpy(&word, p + at[n] + offset, sizeof(word));
+          words[n] = word;
+        }
+        return words;
+      };
+      // Bytes 0 to 3, of pixels of three channels also 6 to 9.
+      auto const left = words_at(0), right = step == 1 ? left >> 16 : words_at(6);
+      int const next = step == 1 ? 8 : 24;
+      Lanes<uint32_t, N> const bytes[] = {left & 255, (left >> next) & 255, right & 255, (right >> next) & 255};
+      for (int i = 0; i < 4; ++i) taps[i] = __builtin_convertvector(__builtin_bit_cast(Lanes<int32_t, N>, bytes[i]), V);
+      return;
+    }
+  if constexpr (__is_same(T, float) && N == 8)
+    if (step == 1) {
+      V rows[4];  // the taps of lanes n and n + 4
+      for (int n = 0; n < 4; ++n)
+        rows[n] =
+            __builtin_shufflevector(read_lanes<4>(p + at[n]), read_lanes<4>(p + at[n + 4]), 0, 1, 2, 3, 4, 5, 6, 7);
+      V const a = __builtin_shufflevector(rows[0], rows[1], 0, 8, 1, 9, 4, 12, 5, 13),
+              b = __builtin_shufflevector(rows[0], rows[1], 2, 10, 3, 11, 6, 14, 7, 15),
+              c = __builtin_shufflevector(rows[2], rows[3], 0, 8, 1, 9, 4, 12, 5, 13),
+              d = __builtin_shufflevector(rows[2], rows[3], 2, 10, 3, 11, 6, 14, 7, 15);
+      taps[0] = __builtin_shufflevector(a, c, 0, 1, 8, 9, 4, 5, 12, 13);
+      taps[1] = __builtin_shufflevector(a, c, 2, 3, 10, 11, 6, 7, 14, 15);
+      taps[2] = __builtin_shufflevector(b, d, 0, 1, 8, 9, 4, 5, 12, 13);
+      taps[3] = __builtin_shufflevector(b, d, 2, 3, 10, 11, 6, 7, 14, 15);
+      return;
+    }
+  for (int i = 0; i < 4; ++i) taps[i] = gather<N>(p + i * step, at);
+}
+
 // The value in one channel. A tap of weight 0 contributes nothing, even if it is inf or NaN. Where such taps are
 // multiplied anyway, the sum becomes NaN and is then computed again.
 template <int K, int N, class T>
@@ -51,8 +92,9 @@ struct Value : TapWindow<K, N, T> {
       V sum{};
 #pragma GCC unroll 1
       for (int j = 0; j < K; ++j) {
-        V row{};
-        for (int i = 0; i < K; ++i) row += this->read(image, plane, j, i) * wx[i];
+        V taps[K], row{};
+        gather_four<N>(plane + j * image.row_stride, this->first, image.step, taps);
+        for (int i = 0; i < K; ++i) row += taps[i] * wx[i];
         sum += row * wy[j];
       }
       return sum;
@@ -201,6 +243,24 @@ void sample_chunk(Sample<T> const& p, CoordRow<Compute<T>> const& coords, int64_
         continue;
       }
     }
+    if constexpr (K == 1 && N > 1)
+      if (value.inside) {  // Special case: 1.1 to 2.2 times as fast, one thread.
+        int64_t const step = p.y.step, below = kRowsAhead * p.x.row_stride + value.first[0];
+        int const channels = interleaved ? 1 : p.x.channels;
+        for (int c = 0; c < channels; ++c) {
+          T const* const from = planes + c * p.x.channel_stride;
+          T* const out = row + c * p.y.channel_stride + e * step;
+          __builtin_prefetch(from + below);
+          __builtin_prefetch(out + p.y.row_stride, 1);
+          for (int n = 0; n < N; ++n) {
+            T const* const pixel = from + value.first[n];
+            T* const to = out + n * step;
+            to[0] = pixel[0];
+            if (interleaved) to[1] = pixel[1], to[2] = pixel[2];
+          }
+        }
+        continue;
+      }
     for (int c = 0; c < p.x.channels; ++c) {
       auto const sampled = value.at(p, planes + c * p.x.channel_stride, p.fill_value(b, c));
       T* const out = row + c * p.y.channel_stride + e * p.y.step;

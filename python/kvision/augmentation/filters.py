@@ -282,8 +282,6 @@ class RandomSharpness(IntensityAugmentationBase2D, keeps_contract=True):
             (values, "sharpness", None, (0.0, float("inf"))), identity=[1.0], op="RandomSharpness"
         )
 
-    accepts_bytes = False
-
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
@@ -317,8 +315,6 @@ class RandomEqualize(IntensityAugmentationBase2D, keeps_contract=True):
         **options: Any,
     ) -> None:
         super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
-
-    accepts_bytes = False
 
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
@@ -412,8 +408,6 @@ class RandomClahe(IntensityAugmentationBase2D, keeps_contract=True):
         self.flags = {"grid_size": grid_size, "slow_and_differentiable": slow_and_differentiable}
         no_images = torch.empty(0, 1, 64, 64, device="cpu")  # a call on none checks the settings
         enhance.equalize_clahe(no_images, 1.0, grid_size, slow_and_differentiable)
-
-    accepts_bytes = False
 
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None

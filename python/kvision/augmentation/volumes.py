@@ -308,8 +308,6 @@ class RandomEqualize3D(IntensityAugmentationBase3D, keeps_contract=True):
         True
     """
 
-    accepts_bytes = False
-
     def __init__(self, p: float = 0.5, same_on_batch: bool = False, keepdim: bool = False, **options: Any) -> None:
         super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
 

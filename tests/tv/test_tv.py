@@ -12,10 +12,12 @@ import PIL.Image
 import pytest
 import torch
 from torch import Tensor
+from torch.utils._python_dispatch import TorchDispatchMode
 
 from kvision import tv
 from kvision.tv import containers
 from kvision.tv import functional as F
+from kvision.tv.transform import apply_calls
 
 # --- v2's calls that kvision.tv repeats with the same seeds, and how far results may differ ---------------------------
 
@@ -282,7 +284,9 @@ def test_names_and_arguments_are_those_of_v2() -> None:
         if "args" not in other and "args" not in mine:
             assert defaults == [(p.name, getattr(p.default, "value", p.default), p.kind) for p in other.values()], name
     functions = [n for n, f in vars(F).items() if inspect.isfunction(f) and hasattr(f, "kinds")]
-    assert len(functions) > 35
+    functions += ["clamp_bounding_boxes", "clamp_keypoints", "convert_bounding_box_format", "sanitize_bounding_boxes"]
+    functions += ["sanitize_keypoints"]
+    assert len(functions) > 40
     for name in functions:
         mine, other = (inspect.signature(getattr(module, name)).parameters for module in (F, v2.functional))
         assert list(mine) == list(other), name
@@ -347,6 +351,36 @@ def test_samples_of_a_batch_draw_by_themselves(dtype: torch.dtype, device: torch
     assert not found, "\n".join(found)
 
 
+def test_color_functions_of_bytes_are_one_program(device: torch.device) -> None:
+    """Those of each image in its own order: by themselves with their values, and neighbors without a rounding in between."""
+    x = torch.stack([photograph(i) for i in range(4)]).to(device)
+    calls: list[list[tuple[Any, dict[str, Any]]]] = [
+        [(F.invert, {}), (F.adjust_brightness, {"brightness_factor": 0.5})],
+        [(F.posterize, {"bits": 3}), (F.invert, {}), (F.invert, {})],
+        [(F.solarize, {"threshold": 100.0}), (F.posterize, {"bits": 4})],
+        [],
+    ]
+    results = apply_calls(x, calls)
+    assert torch.equal(results[3], x[3])
+    for result, image, own in zip(results, x, calls):
+        for function, arguments in own:
+            image = function(image, **arguments)
+        assert not differences(result.cpu(), image.cpu(), 1 if own and own[0][0] is F.invert else 0)
+    launched: list[str] = []
+
+    class Names(TorchDispatchMode):
+        def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+            launched.append(str(func))
+            return func(*args, **(kwargs or {}))
+
+    with Names():
+        tv.ColorJitter(0.4, 0.4, 0.4, 0.1)(x)
+    assert [name for name in launched if "kvision" in name] == ["kvision.color_program_around_mean.default"]
+    assert len(launched) < 30 and "aten.index_copy_.default" not in launched
+    with pytest.raises(TypeError, match=r"solarize: expected a threshold of at most 255\.0, got 300"):
+        tv.RandomSolarize(300, p=1.0)(x)
+
+
 def test_neighbors_in_a_pass_give_what_each_gives(device: torch.device) -> None:
     """The windows and flips that the pass has drawn, by the functions: within a level, as steps of bytes are not rounded."""
     x = torch.stack([photograph(i) for i in range(8)]).to(device)
@@ -355,7 +389,7 @@ def test_neighbors_in_a_pass_give_what_each_gives(device: torch.device) -> None:
     augment = tv.Compose([*steps, tv.Normalize(mean, std)])
     result, label = augment((x, 7))
     assert label == 7 and result.dtype == torch.float32
-    passed = augment._steps(list(augment.transforms), (x,))
+    passed = augment._steps(list(augment.transforms), x)
     assert [name for name, _ in passed] == ["RandomResizedCrop", "RandomHorizontalFlip", "dtype", "Normalize"]
     crop, flip, _ = containers._pass_of(tuple(passed)).augmentations._params
     for i in range(8):
@@ -365,7 +399,7 @@ def test_neighbors_in_a_pass_give_what_each_gives(device: torch.device) -> None:
         expected = F.normalize(F.to_dtype(y, torch.float32, True), mean, std)
         assert (result[i] - expected).abs().amax() < 1.01 / 255 / 0.2, i
     assert tv.SameOnBatch([augment])(x[:1].expand(2, -1, -1, -1)).unique(dim=0).shape[0] == 1  # draws once
-    assert len(augment._steps([tv.Normalize(mean, std)], (x,))) == 0  # of bytes, which are refused
+    assert len(augment._steps([tv.Normalize(mean, std)], x)) == 0  # of bytes, which are refused
 
 
 def test_samples_of_a_batch_choose_by_themselves() -> None:
@@ -463,6 +497,8 @@ def test_gradients_reach_the_image() -> None:
         lambda: tv.RandAugment(interpolation="cubic"),
         lambda: tv.RandomChoice([tv.Identity()], p=[1, 2]),
         lambda: tv.Compose([]),
+        lambda: tv.RandomPosterize(9),
+        lambda: tv.SanitizeBoundingBoxes(labels_getter="labels"),
         lambda: F.resize(torch.zeros(3, 4, 4), 3, "cubic"),
         lambda: F.affine(torch.zeros(3, 4, 4), 0, [0, 0], 0, 0),
         lambda: F.normalize(torch.zeros(3, 4, 4), [0.0] * 3, [0.0] * 3),

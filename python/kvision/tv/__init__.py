@@ -6,155 +6,21 @@ Samples of a batch (B, C, H, W) draw by themselves; :class:`SameOnBatch` draws o
 """
 
 from kvision import _torch_compat
+from kvision.tv import color, containers, geometry, mixing, values
 from kvision.tv import functional as functional
-from kvision.tv.color import (
-    JPEG,
-    RGB,
-    ColorJitter,
-    GaussianBlur,
-    GaussianNoise,
-    Grayscale,
-    RandomAdjustSharpness,
-    RandomAutocontrast,
-    RandomChannelPermutation,
-    RandomEqualize,
-    RandomErasing,
-    RandomGrayscale,
-    RandomInvert,
-    RandomPhotometricDistort,
-    RandomPosterize,
-    RandomSolarize,
-)
-from kvision.tv.containers import (
-    Compose,
-    RandomApply,
-    RandomChoice,
-    RandomOrder,
-    SameOnBatch,
-)
-from kvision.tv.functional.geometry import (
-    InterpolationMode,
-)
-from kvision.tv.geometry import (
-    CenterCrop,
-    ElasticTransform,
-    FiveCrop,
-    Pad,
-    RandomAffine,
-    RandomCrop,
-    RandomHorizontalFlip,
-    RandomIoUCrop,
-    RandomPerspective,
-    RandomResize,
-    RandomResizedCrop,
-    RandomRotation,
-    RandomShortestSize,
-    RandomVerticalFlip,
-    RandomZoomOut,
-    Resize,
-    ScaleJitter,
-    TenCrop,
-)
-from kvision.tv.mixing import (
-    AugMix,
-    AutoAugment,
-    AutoAugmentPolicy,
-    CutMix,
-    MixUp,
-    RandAugment,
-    TrivialAugmentWide,
-)
-from kvision.tv.transform import (
-    Transform,
-)
-from kvision.tv.values import (
-    ClampBoundingBoxes,
-    ClampKeyPoints,
-    ConvertBoundingBoxFormat,
-    ConvertImageDtype,
-    Identity,
-    Lambda,
-    LinearTransformation,
-    Normalize,
-    PILToTensor,
-    SanitizeBoundingBoxes,
-    SanitizeKeyPoints,
-    SetClampingMode,
-    ToDtype,
-    ToImage,
-    ToPILImage,
-    ToPureTensor,
-    ToTensor,
-    UniformTemporalSubsample,
-)
+from kvision.tv.color import *  # noqa: F403
+from kvision.tv.containers import *  # noqa: F403
+from kvision.tv.functional.geometry import InterpolationMode
+from kvision.tv.geometry import *  # noqa: F403
+from kvision.tv.mixing import *  # noqa: F403
+from kvision.tv.transform import Transform
+from kvision.tv.values import *  # noqa: F403
 
-__all__ = [
-    "JPEG",
-    "RGB",
-    "AugMix",
-    "AutoAugment",
-    "AutoAugmentPolicy",
-    "CenterCrop",
-    "ClampBoundingBoxes",
-    "ClampKeyPoints",
-    "ColorJitter",
-    "Compose",
-    "ConvertBoundingBoxFormat",
-    "ConvertImageDtype",
-    "CutMix",
-    "ElasticTransform",
-    "FiveCrop",
-    "GaussianBlur",
-    "GaussianNoise",
-    "Grayscale",
-    "Identity",
-    "InterpolationMode",
-    "Lambda",
-    "LinearTransformation",
-    "MixUp",
-    "Normalize",
-    "PILToTensor",
-    "Pad",
-    "RandAugment",
-    "RandomAdjustSharpness",
-    "RandomAffine",
-    "RandomApply",
-    "RandomAutocontrast",
-    "RandomChannelPermutation",
-    "RandomChoice",
-    "RandomCrop",
-    "RandomEqualize",
-    "RandomErasing",
-    "RandomGrayscale",
-    "RandomHorizontalFlip",
-    "RandomInvert",
-    "RandomIoUCrop",
-    "RandomOrder",
-    "RandomPerspective",
-    "RandomPhotometricDistort",
-    "RandomPosterize",
-    "RandomResize",
-    "RandomResizedCrop",
-    "RandomRotation",
-    "RandomShortestSize",
-    "RandomSolarize",
-    "RandomVerticalFlip",
-    "RandomZoomOut",
-    "Resize",
-    "SameOnBatch",
-    "SanitizeBoundingBoxes",
-    "SanitizeKeyPoints",
-    "ScaleJitter",
-    "SetClampingMode",
-    "TenCrop",
-    "ToDtype",
-    "ToImage",
-    "ToPILImage",
-    "ToPureTensor",
-    "ToTensor",
-    "Transform",
-    "TrivialAugmentWide",
-    "UniformTemporalSubsample",
-]
+__all__ = ["InterpolationMode", "Transform"]
+__all__ += color.__all__
+__all__ += containers.__all__
+__all__ += geometry.__all__
+__all__ += mixing.__all__
+__all__ += values.__all__
 
 _torch_compat.refuse_script(globals())

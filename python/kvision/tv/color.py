@@ -9,11 +9,16 @@ from typing import Any
 import torch
 
 from kvision import _check
-from kvision._tv_tensors import kind_of
 from kvision.tv import argument, draw
 from kvision.tv import functional as F
 from kvision.tv.geometry import drawn_window
-from kvision.tv.transform import Chance, RandomTransform, Transform, channels_in, size_of
+from kvision.tv.transform import Call, Chance, RandomTransform, Transform, channels_in, size_of
+
+__all__ = [
+    "JPEG", "RGB", "ColorJitter", "GaussianBlur", "GaussianNoise", "Grayscale", "RandomAdjustSharpness",
+    "RandomAutocontrast", "RandomChannelPermutation", "RandomEqualize", "RandomErasing", "RandomGrayscale",
+    "RandomInvert", "RandomPhotometricDistort", "RandomPosterize", "RandomSolarize",
+]  # fmt: skip
 
 
 class Grayscale(Transform, function=F.rgb_to_grayscale):
@@ -70,31 +75,10 @@ def _factors(op: str, name: str, value: Any) -> tuple[float, float] | None:
         if values < 0:
             raise ValueError(f"{op}: expected {name} of at least 0, got {value}")
         values = max(center - values, low) if low == 0 else center - values, center + values
-    a, b = (center, center) if values is None else argument.pair(op, name, values)
+    a, b = (center, center) if values is None else argument.ascending(op, name, values)
     if not low <= a <= b <= high:
         raise ValueError(f"{op}: expected {name} in [{low}, {high}], increasing, got {value}")
     return None if a == b == center else (float(a), float(b))
-
-
-def _odd_sizes(op: str, name: str, value: Any) -> tuple[int, int]:
-    sizes = argument.two(op, name, value)
-    if sizes[0] % 2 == 0 or sizes[1] % 2 == 0:
-        raise ValueError(f"{op}: expected odd {name}, got {value}")
-    return sizes
-
-
-def _deviations(op: str, name: str, value: Any) -> tuple[Any, Any]:
-    low, high = argument.two_numbers(_check.scalars(op, name, value))
-    if not 0 < low <= high:
-        raise ValueError(f"{op}: expected {name} above 0, increasing, got {value}")
-    return low, high
-
-
-def _qualities(op: str, name: str, value: Any) -> tuple[int, int]:
-    low, high = argument.two(op, name, value)
-    if not low <= high <= 100:
-        raise ValueError(f"{op}: expected {name} of 1 to 100, or two of them, got {value!r}")
-    return low, high
 
 
 def _erased(op: str, name: str, value: Any) -> list[float] | None:
@@ -104,29 +88,26 @@ def _erased(op: str, name: str, value: Any) -> list[float] | None:
         return None
     if isinstance(values, str):
         raise ValueError(f"{op}: expected {name} to be a number, one of each channel or 'random', got {value!r}")
-    return [float(v) for v in ([values] if isinstance(values, (int, float)) else values)]
+    return [float(v) for v in argument.several(op, name, values)]
 
 
-class _Jitter(Transform):
-    draws = True
-    functionals = {
-        "brightness_factor": F.adjust_brightness,
-        "contrast_factor": F.adjust_contrast,
-        "saturation_factor": F.adjust_saturation,
-        "hue_factor": F.adjust_hue,
-    }
+class _Jitter(Transform, draws=True):
+    functionals = {f"{n}_factor": getattr(F, f"adjust_{n}") for n in ("brightness", "contrast", "saturation", "hue")}
 
-    def _intervals(self) -> list[Any]:
-        return [getattr(self, name.removesuffix("_factor")) for name in self.functionals]
-
-    def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
+    def _calls(self, options: dict[str, Any], params: dict[str, Any]) -> list[Call]:
         names = tuple(self.functionals)
-        for i in params["fn_idx"]:
-            factor = params[names[i]]
-            if factor is not None:
-                inpt = self._call_kernel(self.functionals[names[i]], inpt, factor)
+        factors = [(name := names[i], params[name]) for i in params["fn_idx"]]
+        calls: list[Call] = [(self.functionals[name], {name: factor}) for name, factor in factors if factor is not None]
         channels = params.get("channel_permutation")
-        return inpt if channels is None else self._call_kernel(F.permute_channels, inpt, channels)
+        return calls if channels is None else [*calls, (F.permute_channels, {"permutation": channels})]
+
+    def _factors(self, p: float | None = None) -> dict[str, float | None]:
+        """A factor of each function that changes something, drawn with a probability where there is one."""
+        factors = dict.fromkeys(self.functionals)
+        for name in factors:
+            if (interval := getattr(self, name.removesuffix("_factor"))) and (p is None or draw.unit() < p):
+                factors[name] = draw.uniform(interval)
+        return factors
 
 
 class ColorJitter(_Jitter):
@@ -153,9 +134,7 @@ class ColorJitter(_Jitter):
     checks = dict.fromkeys(("brightness", "contrast", "saturation", "hue"), _factors)
 
     def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
-        order = draw.permutation(4)
-        factors = [None if interval is None else draw.uniform(interval) for interval in self._intervals()]
-        return {"fn_idx": order, **dict(zip(self.functionals, factors))}
+        return {"fn_idx": draw.permutation(4), **self._factors()}
 
 
 class RandomPhotometricDistort(_Jitter):
@@ -182,13 +161,13 @@ class RandomPhotometricDistort(_Jitter):
     p: float = 0.5
 
     def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
-        factors = [draw.uniform(interval) if draw.unit() < self.p else None for interval in self._intervals()]
+        factors = self._factors(self.p)
         order = (0, 1, 2, 3) if draw.unit() < 0.5 else (0, 2, 3, 1)  # contrast before or behind the colors
         channels = draw.permutation(channels_in(flat_inputs)) if draw.unit() < self.p else None
-        return {"fn_idx": order, **dict(zip(self.functionals, factors)), "channel_permutation": channels}
+        return {"fn_idx": order, **factors, "channel_permutation": channels}
 
 
-class RandomChannelPermutation(Transform, function=F.permute_channels):
+class RandomChannelPermutation(Transform, function=F.permute_channels, draws=True):
     """Permute the channels.
 
     Example:
@@ -197,8 +176,6 @@ class RandomChannelPermutation(Transform, function=F.permute_channels):
         >>> tv.RandomChannelPermutation()(torch.zeros(3, 8, 6)).shape
         torch.Size([3, 8, 6])
     """
-
-    draws = True
 
     def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
         return {"permutation": draw.permutation(channels_in(flat_inputs))}
@@ -263,6 +240,8 @@ class RandomPosterize(Chance, function=F.posterize):
     bits: int
     p: float = 0.5
 
+    checks = {"bits": lambda op, name, value: _check.ints(op, name, value, 1, 0, 8)[0]}
+
 
 class RandomSolarize(Chance, function=F.solarize):
     """Invert what is at least a threshold, with a probability.
@@ -300,7 +279,7 @@ class RandomAdjustSharpness(Chance, function=F.adjust_sharpness):
     p: float = 0.5
 
 
-class GaussianBlur(Transform, function=F.gaussian_blur):
+class GaussianBlur(Transform, function=F.gaussian_blur, draws=True):
     """Smooth with a random standard deviation.
 
     Args:
@@ -317,8 +296,12 @@ class GaussianBlur(Transform, function=F.gaussian_blur):
     kernel_size: int | Sequence[int]
     sigma: float | Sequence[float] = (0.1, 2.0)
 
-    draws = True
-    checks = {"kernel_size": _odd_sizes, "sigma": _deviations}
+    checks = {
+        "kernel_size": argument.where(argument.two, lambda v: v[0] % 2 == v[1] % 2 == 1, "odd"),
+        "sigma": argument.where(
+            argument.two_numbers, lambda v: 0 < v[0] <= v[1], "one or two numbers above 0, ascending"
+        ),
+    }
 
     def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
         return {"sigma": [draw.uniform(self.sigma)] * 2}
@@ -344,7 +327,7 @@ class GaussianNoise(Transform, function=F.gaussian_noise):
     clip: bool = True
 
 
-class JPEG(Transform, function=F.jpeg):
+class JPEG(Transform, function=F.jpeg, draws=True):
     """Compress and decompress uint8 images as JPEG of a random quality.
 
     Args:
@@ -359,11 +342,10 @@ class JPEG(Transform, function=F.jpeg):
 
     quality: int | Sequence[int]
 
-    draws = True
-    checks = {"quality": _qualities}
+    checks = {"quality": argument.where(argument.two, lambda v: v[0] <= v[1] <= 100, "of 1 to 100, or two of them")}
 
     def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
-        low, high = argument.two_numbers(self.quality)
+        low, high = self.quality  # type: ignore[misc]  # two by now
         return {"quality": draw.integer(low, high + 1)}
 
 
@@ -391,23 +373,16 @@ class RandomErasing(RandomTransform, function=F.erase):
 
     checks = {"scale": argument.fractions, "value": _erased}
 
-    def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
-        channels, (height, width), value = channels_in(flat_inputs), size_of(flat_inputs), self.value
-        if value is not None and len(value) not in (1, channels):  # type: ignore[arg-type]  # a list by now
+    def make_params(self, flat_inputs: list[Any]) -> dict[str, Any] | None:
+        channels, (height, width) = channels_in(flat_inputs), size_of(flat_inputs)
+        value: Any = self.value
+        if value is not None and len(value) not in (1, channels):
             raise ValueError(f"RandomErasing: expected a value, or one of {channels} channels, got {value}")
         for _ in range(10):
             w, h = drawn_window(height, width, self.scale, self.ratio)
             if h < height and w < width:
                 noise = torch.randn(channels, h, w, device="cpu") if value is None else None
                 v = torch.tensor(value, device="cpu")[:, None, None] if noise is None else noise
-                return {
-                    "i": draw.integer(0, height - h + 1),
-                    "j": draw.integer(0, width - w + 1),
-                    "h": h,
-                    "w": w,
-                    "v": v,
-                }
-        return {}
-
-    def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
-        return super().transform(inpt, params) if params and kind_of(inpt) != "mask" else inpt
+                top, left = draw.integer(0, height - h + 1), draw.integer(0, width - w + 1)
+                return {"i": top, "j": left, "h": h, "w": w, "v": v}
+        return None

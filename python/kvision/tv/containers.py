@@ -9,10 +9,11 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from kvision._torch_compat import tree_flatten, tree_unflatten
 from kvision._tv_tensors import kind_of, plain, wrap
 from kvision.tv import draw
-from kvision.tv.transform import Step, Transform, at, count_samples, draws_once, join, split
+from kvision.tv.transform import ONCE, Step, Transform, at, count_samples, flatten, join, split, unflatten
+
+__all__ = ["Compose", "RandomApply", "RandomChoice", "RandomOrder", "SameOnBatch"]
 
 
 def _children(op: str, name: str, value: Any) -> Any:
@@ -34,8 +35,7 @@ class _Container(Transform):
         return all(isinstance(t, Transform) and not mixes(t) for t in self.transforms)
 
     def forward(self, *inputs: Any) -> Any:
-        sample = inputs if len(inputs) > 1 else inputs[0]
-        flat, spec = tree_flatten(sample)
+        flat, spec = flatten(inputs)
         needed = self._needed(flat)
         samples = count_samples(flat, needed) if self.draws else 0
         if not samples:
@@ -47,11 +47,11 @@ class _Container(Transform):
             return self._run(next(iter(by_choice)), inputs)
         parts: list[Any] = [None] * samples
         for choice, chosen in by_choice.items():
-            part = tree_unflatten([at(x, chosen) if is_needed else x for x, is_needed in zip(flat, needed)], spec)
-            outputs = tree_flatten(self._run(choice, part if len(inputs) > 1 else (part,)))[0]
+            part = unflatten([at(x, chosen) if is_needed else x for x, is_needed in zip(flat, needed)], spec)
+            outputs, _ = flatten((self._run(choice, part if len(inputs) > 1 else (part,)),))
             for sample, i in zip(split(outputs, needed, len(chosen)), chosen):
                 parts[i] = sample
-        return tree_unflatten(join(parts, flat, needed), spec)
+        return unflatten(join(parts, flat, needed), spec)
 
     def _choice(self) -> Sequence[int]:
         """The transforms that are applied, in turn."""
@@ -91,32 +91,26 @@ class Compose(_Container):
     """
 
     def forward(self, *inputs: Any) -> Any:
-        if self._batch(inputs) is None:
-            return apply_all(self.transforms, inputs)
         transforms: list[Any] = list(self.transforms)
-        while transforms:
-            steps = self._steps(transforms, inputs)
-            if len(steps) > 1:
+        while transforms and (image := self._batch(inputs)) is not None:
+            if len(steps := self._steps(transforms, image)) > 1:
                 transforms[: len(steps)] = [_pass_of(tuple(steps))]
             output = transforms.pop(0)(*inputs)
             inputs = output if len(inputs) > 1 else (output,)
-        return inputs if len(inputs) > 1 else inputs[0]
+        return apply_all(transforms, inputs)
 
     def _batch(self, inputs: tuple[Any, ...]) -> Tensor | None:
         """The images of a sample that is a batch of them, without anything that moves with them."""
-        flat = [inputs[0]] if len(inputs) == 1 and isinstance(inputs[0], Tensor) else tree_flatten(inputs)[0]
+        flat, _ = flatten(inputs)
         needed = self._needed(flat)
         if sum(needed) != 1 or not count_samples(flat, needed):
             return None
         image = flat[needed.index(True)]
         return image if kind_of(image) in ("tensor", "image") and image.dim() == 4 else None
 
-    def _steps(self, transforms: list[Any], inputs: tuple[Any, ...]) -> list[Step]:
-        """The steps of one pass that the first transforms are."""
+    def _steps(self, transforms: list[Any], image: Tensor) -> list[Step]:
+        """The steps of one pass over images that the first transforms are."""
         steps: list[Step] = []
-        image = self._batch(inputs)
-        if image is None:
-            return steps
         dtype = image.dtype
         for t in transforms:
             step = t._step(dtype, image.shape[1]) if type(t).__module__.startswith("kvision.tv.") else None
@@ -160,7 +154,7 @@ class SameOnBatch(_Container):
     """
 
     def forward(self, *inputs: Any) -> Any:
-        with draws_once():
+        with draw.setting(ONCE, True):
             return apply_all(self.transforms, inputs)
 
 

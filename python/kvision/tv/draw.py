@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar
 from typing import Any
 
@@ -16,13 +16,17 @@ _numbers: ContextVar[Iterator[float] | None] = ContextVar("kvision.tv numbers", 
 
 
 @contextmanager
-def together() -> Iterator[None]:
-    """Take numbers from few draws of many."""
-    token = _numbers.set(_unit_numbers())
+def setting(variable: ContextVar[Any], value: Any) -> Iterator[None]:
+    token = variable.set(value)
     try:
         yield
     finally:
-        _numbers.reset(token)
+        variable.reset(token)
+
+
+def together() -> AbstractContextManager[None]:
+    """Take numbers from few draws of many."""
+    return setting(_numbers, _unit_numbers())
 
 
 def _unit_numbers() -> Iterator[float]:
@@ -42,6 +46,12 @@ def uniform(interval: Any) -> float:
     return low + next(numbers) * (high - low)
 
 
+def between(interval: Any, count: int = 1) -> Any:
+    """A tensor of numbers that are never those of samples of a batch: of sizes, that all have in common."""
+    low, high = interval
+    return low + torch.rand(count, device="cpu") * (high - low)
+
+
 @functools.lru_cache(64)
 def _logarithms(*numbers: float) -> list[float]:
     return torch.log(torch.tensor(numbers, device="cpu")).tolist()
@@ -57,14 +67,12 @@ def log_uniform(interval: Any) -> float:
 
 def integer(low: int, high: int) -> int:
     """Of [low, high)."""
-    numbers = _numbers.get()
-    if numbers is None:
-        return int(torch.randint(low, high, (1,), device="cpu").item())
+    if (numbers := _numbers.get()) is None:
+        return torch.randint(low, high, (1,), device="cpu").item()  # type: ignore[return-value]  # of integers
     return low + int(next(numbers) * (high - low))
 
 
 def permutation(n: int) -> list[int]:
-    numbers = _numbers.get()
-    return (
-        torch.randperm(n, device="cpu").tolist() if numbers is None else sorted(range(n), key=lambda _: next(numbers))
-    )
+    if (numbers := _numbers.get()) is None:
+        return torch.randperm(n, device="cpu").tolist()
+    return sorted(range(n), key=lambda _: next(numbers))

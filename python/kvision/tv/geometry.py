@@ -7,14 +7,20 @@ from collections.abc import Sequence
 from typing import Any
 
 import torch
-from torch import Tensor
 
 from kvision import _check
 from kvision._tv_tensors import kind_of, plain, wrap
+from kvision.metrics import mean_iou_bbox
 from kvision.tv import argument, draw
 from kvision.tv import functional as F
 from kvision.tv.functional.geometry import InterpolationMode, four_paddings, interpolation_name
-from kvision.tv.transform import Chance, RandomTransform, Step, Transform, fill_of, size_of
+from kvision.tv.transform import Call, Chance, RandomTransform, Step, Transform, size_of
+
+__all__ = [
+    "CenterCrop", "ElasticTransform", "FiveCrop", "Pad", "RandomAffine", "RandomCrop", "RandomHorizontalFlip",
+    "RandomIoUCrop", "RandomPerspective", "RandomResize", "RandomResizedCrop", "RandomRotation",
+    "RandomShortestSize", "RandomVerticalFlip", "RandomZoomOut", "Resize", "ScaleJitter", "TenCrop",
+]  # fmt: skip
 
 Fill = float | Sequence[float] | None | dict[Any, Any]
 Interpolation = InterpolationMode | str | int
@@ -53,15 +59,6 @@ class RandomVerticalFlip(_Flip, function=F.vertical_flip):
     """
 
 
-def _sizes(op: str, name: str, value: Any) -> list[int] | None:
-    size = _check.scalars(op, name, value)
-    if isinstance(size, int) or size is None:
-        return size if size is None else [size]
-    if len(size) not in (1, 2):
-        raise ValueError(f"{op}: expected {name} to be an int or one or two of them, got {value!r}")
-    return list(size)
-
-
 class Resize(Transform, function=F.resize):
     """Resize to a height and width, or by the shorter or the longer side.
 
@@ -84,7 +81,7 @@ class Resize(Transform, function=F.resize):
     max_size: int | None = None
     antialias: bool | None = True
 
-    checks = {"size": _sizes}
+    checks = {"size": argument.optional(argument.where(argument.several, lambda v: len(v) < 3, "one or two ints"))}
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -116,8 +113,7 @@ class ScaleJitter(Transform, function=F.resize):
 
     def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
         height, width = size_of(flat_inputs)
-        scale = self.scale_range[0] + torch.rand(1, device="cpu") * (self.scale_range[1] - self.scale_range[0])
-        r = min(self.target_size[1] / height, self.target_size[0] / width) * scale
+        r = min(self.target_size[1] / height, self.target_size[0] / width) * draw.between(self.scale_range)
         return {"size": (int(height * r), int(width * r))}
 
 
@@ -143,10 +139,11 @@ class RandomShortestSize(Transform, function=F.resize):
     interpolation: Interpolation = "bilinear"
     antialias: bool | None = True
 
+    checks = {"min_size": argument.several}
+
     def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
         height, width = size_of(flat_inputs)
-        sizes: Any = _check.scalars("RandomShortestSize", "min_size", self.min_size)
-        sizes = [sizes] if isinstance(sizes, int) else sizes
+        sizes: Any = self.min_size
         r = sizes[draw.integer(0, len(sizes))] / min(height, width)
         r = r if self.max_size is None else min(r, self.max_size / max(height, width))
         return {"size": (int(height * r), int(width * r)), "max_size": None}
@@ -178,7 +175,7 @@ class RandomResize(Transform, function=F.resize):
         return {"size": [draw.integer(self.min_size, self.max_size)], "max_size": None}
 
 
-class CenterCrop(Transform, function=F.center_crop):
+class CenterCrop(Transform, function=F.center_crop, renamed={"size": "output_size"}):
     """Cut the center out; a larger size is padded with black.
 
     Args:
@@ -193,11 +190,8 @@ class CenterCrop(Transform, function=F.center_crop):
 
     size: int | Sequence[int]
 
-    def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
-        return {"output_size": self.size}
 
-
-class FiveCrop(Transform, function=F.five_crop):
+class FiveCrop(Transform, function=F.five_crop, refused={"boxes", "mask"}):
     """Cut out the corners and the center: a tuple of five.
 
     Args:
@@ -212,10 +206,8 @@ class FiveCrop(Transform, function=F.five_crop):
 
     size: int | Sequence[int]
 
-    refused = frozenset({"boxes", "mask"})
 
-
-class TenCrop(Transform, function=F.ten_crop):
+class TenCrop(Transform, function=F.ten_crop, refused={"boxes", "mask"}):
     """Cut out the corners and the center, and those of the mirrored image: a tuple of ten.
 
     Args:
@@ -232,8 +224,6 @@ class TenCrop(Transform, function=F.ten_crop):
     size: int | Sequence[int]
     vertical_flip: bool = False
 
-    refused = frozenset({"boxes", "mask"})
-
 
 def drawn_window(height: int, width: int, scale: Any, ratio: Any) -> tuple[int, int]:
     """A height and width by a share of the area and an aspect ratio (width / height), both drawn."""
@@ -241,7 +231,7 @@ def drawn_window(height: int, width: int, scale: Any, ratio: Any) -> tuple[int, 
     return round(math.sqrt(area / aspect)), round(math.sqrt(area * aspect))
 
 
-class RandomResizedCrop(Transform, function=F.resized_crop):
+class RandomResizedCrop(Transform, function=F.resized_crop, draws=True):
     """Cut out a random window and resize it.
 
     Args:
@@ -264,8 +254,6 @@ class RandomResizedCrop(Transform, function=F.resized_crop):
     ratio: Sequence[float] = (3.0 / 4.0, 4.0 / 3.0)
     interpolation: Interpolation = "bilinear"
     antialias: bool | None = True
-
-    draws = True
 
     def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
         height, width = size_of(flat_inputs)
@@ -306,12 +294,8 @@ class Pad(Transform, function=F.pad):
     fill: Fill = 0
     padding_mode: str = "constant"
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        four_paddings(_check.scalars("Pad", "padding", self.padding))
 
-
-class RandomZoomOut(Chance, function=F.pad):
+class RandomZoomOut(Chance, function=F.pad, draws=False):
     """Place the image at random on a larger canvas, with a probability.
 
     Args:
@@ -331,18 +315,16 @@ class RandomZoomOut(Chance, function=F.pad):
     side_range: Sequence[float] = (1.0, 4.0)
     p: float = 0.5
 
-    draws = False  # of the size
-
     def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
         height, width = size_of(flat_inputs)
-        r = self.side_range[0] + torch.rand(1, device="cpu") * (self.side_range[1] - self.side_range[0])
+        r = draw.between(self.side_range)
         right, bottom = int(width * r) - width, int(height * r) - height
         r = torch.rand(2, device="cpu")
         left, top = int(right * r[0]), int(bottom * r[1])
         return {"padding": [left, top, right - left, bottom - top]}
 
 
-class RandomCrop(Transform):
+class RandomCrop(Transform, function=F.pad, draws=True):
     """Cut out a random window.
 
     Args:
@@ -366,15 +348,11 @@ class RandomCrop(Transform):
     fill: Fill = 0
     padding_mode: str = "constant"
 
-    draws = True
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self._sides = four_paddings(self.padding) if self.padding else [0] * 4
+    checks = {"padding": argument.optional(argument.padding)}
 
     def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
         crop: Any = self.size
-        size, (left, right, top, bottom) = size_of(flat_inputs), self._sides
+        size, (left, right, top, bottom) = size_of(flat_inputs), four_paddings(self.padding or 0)
         missing = [max(c - n - p, 0) for c, n, p in zip(crop, size, (top + bottom, left + right))]
         if any(missing) and not self.pad_if_needed:
             raise ValueError(f"RandomCrop: expected images of at least {crop} with their padding, got {size}")
@@ -383,14 +361,11 @@ class RandomCrop(Transform):
         y, x = (draw.integer(0, n + 1) if n else 0 for n in over)
         return {"padding": [left, top, right, bottom], "top": y, "left": x, "crops": any(over)}
 
-    def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
-        if any(params["padding"]):
-            fill = fill_of(self.fill, inpt)
-            inpt = self._call_kernel(F.pad, inpt, params["padding"], fill=fill, padding_mode=self.padding_mode)
-        if params["crops"]:
-            height, width = self.size  # type: ignore[misc]  # both by now
-            inpt = self._call_kernel(F.crop, inpt, params["top"], params["left"], height, width)
-        return inpt
+    def _calls(self, options: dict[str, Any], params: dict[str, Any]) -> list[Call]:
+        height, width = self.size  # type: ignore[misc]  # both by now
+        window = {"top": params["top"], "left": params["left"], "height": height, "width": width}
+        pad: list[Call] = [(F.pad, {**options, "padding": params["padding"]})] if any(params["padding"]) else []
+        return [*pad, (F.crop, window)] if params["crops"] else pad
 
 
 class RandomRotation(Transform, function=F.rotate):
@@ -425,7 +400,7 @@ class RandomRotation(Transform, function=F.rotate):
         return {"angle": draw.uniform(self.degrees)}
 
 
-class RandomAffine(Transform, function=F.affine):
+class RandomAffine(Transform, function=F.affine, draws=True):
     """Warp by a random rotation, translation, scale and shear.
 
     Args:
@@ -453,26 +428,18 @@ class RandomAffine(Transform, function=F.affine):
     fill: Fill = 0
     center: Sequence[float] | None = None
 
-    draws = True
-    checks = {"scale": argument.optional(argument.positive_pair), "shear": argument.optional(argument.interval)}
+    checks = {"scale": argument.optional(argument.above_0), "shear": argument.optional(argument.interval)}
 
     def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
-        (height, width), shear, angles = size_of(flat_inputs), [0.0, 0.0], self.shear or ()
-        params: dict[str, Any] = {
-            "angle": draw.uniform(self.degrees),
-            "translate": (0, 0),
-            "scale": 1.0,
-            "shear": shear,
-        }
-        if self.translate is not None:
-            params["translate"] = tuple(
-                round(draw.uniform((-t * n, t * n))) for t, n in zip(self.translate, (width, height))
-            )
-        if self.scale is not None:
-            params["scale"] = draw.uniform(self.scale)
-        for i in range(len(angles) // 2):  # type: ignore[arg-type]  # a sequence by now
-            shear[i] = draw.uniform(angles[2 * i : 2 * i + 2])  # type: ignore[index]
-        return params
+        (height, width), shear = size_of(flat_inputs), [0.0, 0.0]
+        angles: Any = self.shear or ()
+        angle = draw.uniform(self.degrees)
+        most = [t * n for t, n in zip(self.translate or (0, 0), (width, height))]
+        shift = [round(draw.uniform((-n, n))) for n in most] if self.translate else most
+        scale = draw.uniform(self.scale) if self.scale else 1.0
+        for i in range(len(angles) // 2):
+            shear[i] = draw.uniform(angles[2 * i : 2 * i + 2])
+        return {"angle": angle, "translate": shift, "scale": scale, "shear": shear}
 
 
 class RandomPerspective(Chance, function=F.perspective):
@@ -501,15 +468,13 @@ class RandomPerspective(Chance, function=F.perspective):
         height, width = size_of(flat_inputs)
         y, x = (int(self.distortion_scale * (n // 2)) + 1 for n in (height, width))
         left, right, top, bottom = (0, x), (width - x, width), (0, y), (height - y, height)
-        ends = [
-            [draw.integer(*u), draw.integer(*v)]
-            for u, v in ((left, top), (right, top), (right, bottom), (left, bottom))
-        ]
+        corners = (left, top), (right, top), (right, bottom), (left, bottom)
+        ends = [[draw.integer(*u), draw.integer(*v)] for u, v in corners]
         starts = [[0, 0], [width - 1, 0], [width - 1, height - 1], [0, height - 1]]
         return {"startpoints": starts, "endpoints": ends}
 
 
-class ElasticTransform(Transform, function=F.elastic):
+class ElasticTransform(Transform, function=F.elastic, draws=True):
     """Move the pixels by smooth random displacements.
 
     Args:
@@ -531,14 +496,14 @@ class ElasticTransform(Transform, function=F.elastic):
     interpolation: Interpolation = "bilinear"
     fill: Fill = 0
 
-    draws = True
+    checks = dict.fromkeys(("alpha", "sigma"), argument.two_numbers)
 
     def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
-        size, displacements, sigmas = size_of(flat_inputs), [], list(map(float, argument.two_numbers(self.sigma)))
-        for alpha, sigma, pixels in zip(argument.two_numbers(self.alpha), sigmas, size[::-1]):
+        size, displacements = size_of(flat_inputs), []
+        for alpha, sigma, pixels in zip(self.alpha, self.sigma, size[::-1]):  # type: ignore[arg-type]  # two by now
             d = torch.rand(1, 1, *size, device="cpu") * 2 - 1
             if sigma > 0:
-                d = F.gaussian_blur(d, [int(8 * sigma + 1) | 1] * 2, sigmas)
+                d = F.gaussian_blur(d, [int(8 * sigma + 1) | 1] * 2, self.sigma)
             displacements.append(d[0] * alpha / pixels)
         return {"displacement": torch.stack(displacements, 3)}
 
@@ -572,7 +537,7 @@ class RandomIoUCrop(Transform):
         if "boxes" not in kinds or not kinds & {"tensor", "image", "pil"}:
             raise TypeError("RandomIoUCrop: expected an image and boxes in the sample")
 
-    def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
+    def make_params(self, flat_inputs: list[Any]) -> dict[str, Any] | None:
         height, width = size_of(flat_inputs)
         boxes = next(x for x in flat_inputs if kind_of(x) == "boxes")
         edges = plain(F.convert_bounding_box_format(boxes, new_format="XYXY"))
@@ -580,7 +545,7 @@ class RandomIoUCrop(Transform):
         options = self.sampler_options or (0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0)
         while (least := options[draw.integer(0, len(options))]) < 1:  # which leaves the sample as it is
             for _ in range(self.trials):
-                r = self.min_scale + (self.max_scale - self.min_scale) * torch.rand(2, device="cpu")
+                r = draw.between((self.min_scale, self.max_scale), 2)
                 w, h = int(width * r[0]), int(height * r[1])
                 if not self.min_aspect_ratio <= w / h <= self.max_aspect_ratio:
                     continue
@@ -588,20 +553,15 @@ class RandomIoUCrop(Transform):
                 left, top = int((width - w) * r[0]), int((height - h) * r[1])
                 window = edges.new_tensor([left, top, left + w, top + h])
                 inside = ((window[:2] < center) & (center < window[2:])).all(1)
-                if w and h and inside.any() and _overlaps(edges[inside], window).max() >= least:
+                if not (w and h and inside.any()):
+                    continue
+                if mean_iou_bbox(edges[inside], window[None]).nan_to_num().max() >= least:
                     return {"top": top, "left": left, "height": h, "width": w, "is_within_crop_area": inside}
-        return {}
+        return None
 
     def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
-        *window, inside = params.values() or (None,)
-        output = inpt if inside is None else self._call_kernel(F.crop, inpt, *window)
-        if inside is None or kind_of(output) != "boxes":
+        *window, inside = params.values()
+        output = self._call_kernel(F.crop, inpt, *window)
+        if kind_of(output) != "boxes":
             return output
         return wrap(plain(output).masked_fill(~inside[:, None], 0), output)  # empty, for SanitizeBoundingBoxes
-
-
-def _overlaps(boxes: Tensor, window: Tensor) -> Tensor:
-    """Intersection over union of boxes (N, 4), by edges, with one."""
-    sizes = torch.minimum(boxes[:, 2:], window[2:]) - torch.maximum(boxes[:, :2], window[:2])
-    common = sizes.clamp(min=0).prod(1)
-    return common / ((boxes[:, 2:] - boxes[:, :2]).prod(1) + (window[2:] - window[:2]).prod() - common)

@@ -16,14 +16,12 @@ LABELS = frozenset({"boxes", "points"})
 EVERYTHING = PIXELS | LABELS
 
 
-def tv_tensor(name: str, data: Tensor) -> Tensor:
-    """`data` as the class of torchvision.tv_tensors with this name, or as it is where torchvision is not installed."""
-    try:
-        from torchvision import tv_tensors
-    except ImportError:
-        return data
-    result: Tensor = getattr(tv_tensors, name)(data)
-    return result
+def one_or_two(op: str, name: str, value: Any) -> tuple[Any, Any]:
+    """Two numbers, from one for both, or a sequence of one or two."""
+    values = [value] if isinstance(value, (int, float)) else value
+    if not isinstance(values, (tuple, list)) or len(values) not in (1, 2):
+        raise ValueError(f"{op}: expected {name} to be a number or one or two of them, got {value!r}")
+    return values[0], values[-1]
 
 
 def height_and_width(x: Any) -> tuple[int, int]:
@@ -118,7 +116,6 @@ def to_pil_image(pic: Any, mode: str | None = None) -> Any:
     if mode is not None and mode != usual and mode not in _FURTHER_MODES.get(channels, ()):
         raise ValueError(f"to_pil_image: expected a mode of {channels} channels of {array.dtype.name}, got {mode!r}")
     array = array[..., 0] if array.ndim == 3 and channels == 1 else array
-    if (channels == 3 and mode in ("YCbCr", "HSV")) or mode in ("CMYK", "RGBX"):
-        height, width = array.shape[:2]
-        return PIL.Image.frombytes(mode, (width, height), np.ascontiguousarray(array).tobytes())
+    if mode is not None and mode != usual:
+        return PIL.Image.frombytes(mode, array.shape[1::-1], np.ascontiguousarray(array).tobytes())
     return PIL.Image.fromarray(array)

@@ -4,31 +4,32 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from enum import Enum
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import torch
 from torch import Tensor
 
 from kvision import _check
-from kvision._torch_compat import sample_dirichlet, tree_flatten, tree_unflatten
+from kvision._torch_compat import sample_dirichlet
 from kvision._tv_tensors import kind_of, plain, wrap
 from kvision.tv import draw
 from kvision.tv import functional as F
 from kvision.tv.functional.values import largest
 from kvision.tv.geometry import Fill, Interpolation
-from kvision.tv.inputs import pil_to_tensor, to_pil_image
-from kvision.tv.transform import Transform, fill_of, size_of
-from kvision.tv.values import labels_getter_of
+from kvision.tv.inputs import IMAGES, LABELS, pil_to_tensor, to_pil_image
+from kvision.tv.transform import Call, Transform, flatten, size_of, unflatten
+from kvision.tv.values import labels_in
+
+__all__ = ["AugMix", "AutoAugment", "AutoAugmentPolicy", "CutMix", "MixUp", "RandAugment", "TrivialAugmentWide"]
 
 
-class _Mix(Transform, kw_only=True):
+class _Mix(Transform, kw_only=True, kinds=IMAGES - {"pil"}):
     alpha: float = 1.0
     num_classes: int | None = None
     labels_getter: Any = "default"
 
-    kinds = frozenset({"tensor", "image", "video"})
     mixes_samples = True
 
     def _share(self) -> float:
@@ -37,42 +38,36 @@ class _Mix(Transform, kw_only=True):
         return float(torch.distributions.Beta(alpha, alpha).sample(()))
 
     def forward(self, *inputs: Any) -> Any:
-        sample, name = inputs if len(inputs) > 1 else inputs[0], type(self).__name__
-        flat, spec = tree_flatten(sample)
+        (flat, spec), name = flatten(inputs), type(self).__name__
         needed = self._needed(flat)
         if any(kind_of(x) in ("pil", "boxes", "mask", "points") for x in flat):
             raise ValueError(f"{name}: expected a sample without PIL images, boxes, masks and key points")
-        labels = labels_getter_of(self.labels_getter)(sample)
+        labels = labels_in(inputs if len(inputs) > 1 else inputs[0], self.labels_getter)
         if not isinstance(labels, Tensor) or labels.dim() not in (1, 2):
             raise ValueError(f"{name}: expected labels (B,) or (B, classes), got {labels!r}")
-        if labels.dim() == 1 and self.num_classes is None:
-            raise ValueError(f"{name}: expected num_classes where labels are numbers of classes, (B,)")
-        if labels.dim() == 2 and self.num_classes not in (None, labels.shape[1]):
-            raise ValueError(f"{name}: expected labels of {self.num_classes} classes, got {tuple(labels.shape)}")
+        classes = self.num_classes if labels.dim() == 1 else labels.shape[1]
+        if classes is None or self.num_classes not in (None, classes):
+            raise ValueError(f"{name}: expected num_classes of labels {tuple(labels.shape)}, got {self.num_classes}")
         images = [x for x, is_needed in zip(flat, needed) if is_needed and x is not labels]
         for x in images:
             axes = 5 if kind_of(x) == "video" else 4
             if x.dim() != axes or x.shape[0] != labels.shape[0]:
-                raise ValueError(
-                    f"{name}: expected a batch of {labels.shape[0]} with {axes} axes, got {tuple(x.shape)}"
-                )
+                raise ValueError(f"{name}: expected {labels.shape[0]} images of {axes} axes, got {tuple(x.shape)}")
         params = self.make_params(images)
         outputs: list[Any] = []
         for x, is_needed in zip(flat, needed):
             if x is labels:
-                outputs.append(self._mixed_labels(x, params["share"]))
+                shares = torch.nn.functional.one_hot(x, classes) if x.dim() == 1 else x
+                outputs.append(_Mix._mixed(self, shares if x.is_floating_point() else shares.float(), params))
             else:
                 outputs.append(wrap(self._mixed(plain(x), params), x) if is_needed else x)
-        return tree_unflatten(outputs, spec)
+        return unflatten(outputs, spec)
+
+    def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
+        return {"share": self._share()}
 
     def _mixed(self, x: Tensor, params: dict[str, Any]) -> Tensor:
-        raise NotImplementedError
-
-    def _mixed_labels(self, labels: Tensor, share: float) -> Tensor:
-        if labels.dim() == 1:
-            labels = torch.nn.functional.one_hot(labels, self.num_classes)  # type: ignore[arg-type]  # not None
-        labels = labels if labels.is_floating_point() else labels.float()
-        return labels.roll(1, 0).mul_(1 - share).add_(labels, alpha=share)
+        return x.roll(1, 0).mul_(1 - params["share"]).add_(x, alpha=params["share"])
 
 
 class MixUp(_Mix, kw_only=True):
@@ -91,13 +86,6 @@ class MixUp(_Mix, kw_only=True):
         >>> labels.shape
         torch.Size([2, 3])
     """
-
-    def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
-        return {"share": self._share()}
-
-    def _mixed(self, x: Tensor, params: dict[str, Any]) -> Tensor:
-        share = params["share"]
-        return x.roll(1, 0).mul_(1 - share).add_(x.mul(share))
 
 
 class CutMix(_Mix, kw_only=True):
@@ -129,8 +117,7 @@ class CutMix(_Mix, kw_only=True):
     def _mixed(self, x: Tensor, params: dict[str, Any]) -> Tensor:
         left, top, right, bottom = params["box"]
         output = x.clone()
-        window = output[..., top:bottom, left:right]
-        window.copy_(x[..., top:bottom, left:right].roll(1, 0))
+        output[..., top:bottom, left:right] = x[..., top:bottom, left:right].roll(1, 0)
         return output
 
 
@@ -151,109 +138,103 @@ class AutoAugmentPolicy(Enum):
     SVHN = "svhn"
 
 
-# Magnitudes of an operation by the number of bins and the image's height and width, and whether their sign is drawn.
-_Magnitudes = Callable[[int, int, int], Sequence[float] | None]
-_Space = dict[str, tuple[_Magnitudes, bool]]
+Operation = tuple[str, float]  # a name and a magnitude
 
 
-def _linear(low: float, high: float) -> _Magnitudes:
-    return functools.lru_cache(64)(lambda bins, height, width: torch.linspace(low, high, bins, device="cpu").tolist())
+class _Range(NamedTuple):
+    """The magnitudes of an operation: from one number to another, of which some have a random sign."""
+
+    first: float
+    last: float
+    signed: bool = False
+    of: int | None = None  # the axis of whose size they are fractions
+    is_whole: bool = False
 
 
-def _posterize(most: int, lost: int) -> _Magnitudes:
-    return lambda bins, height, width: [round(most - i / ((bins - 1) / lost)) for i in range(bins)]
+@functools.lru_cache(256)
+def _magnitudes(first: float, last: float, bins: int, is_whole: bool) -> list[float]:
+    if is_whole:
+        return [round(first - i / ((bins - 1) / (first - last))) for i in range(bins)]
+    numbers: list[float] = torch.linspace(first, last, bins, device="cpu").tolist()
+    return numbers
 
 
-def _none(bins: int, height: int, width: int) -> None:
-    return None
+_MOVES = "ShearX", "ShearY", "TranslateX", "TranslateY", "Rotate"
+_COLORS = "Brightness", "Color", "Contrast", "Sharpness"
+_LEVELS = "Posterize", "Solarize", "AutoContrast", "Equalize"
+_USUAL = "Identity", *_MOVES, *_COLORS, *_LEVELS
 
 
-def _space(shear: float, x: Any, y: Any, angle: float, color: float, bits: tuple[int, int], further: str) -> _Space:
-    space: _Space = {} if further != "Identity" else {"Identity": (_none, False)}
-    space |= {"ShearX": (_linear(0, shear), True), "ShearY": (_linear(0, shear), True)}
-    space |= {"TranslateX": (x, True), "TranslateY": (y, True), "Rotate": (_linear(0, angle), True)}
-    colors: _Space = {name: (_linear(0, color), True) for name in ("Brightness", "Color", "Contrast", "Sharpness")}
-    levels: _Space = {"Posterize": (_posterize(*bits), False), "Solarize": (_linear(1, 0), False)}
-    levels |= {"AutoContrast": (_none, False), "Equalize": (_none, False)}
-    if further == "last":  # the order of AugMix, which may leave them out
-        return space | levels | colors
-    return space | colors | levels | ({"Invert": (_none, False)} if further == "Invert" else {})
+def _space(
+    names: Sequence[str], shear: float, shift: float, angle: float, color: float, bits: Sequence[int], by: str = "size"
+) -> Mapping[str, _Range | None]:
+    """The operations with their magnitudes, None for those that have none; the order is that of the draws."""
+    ranges = dict.fromkeys(("ShearX", "ShearY"), _Range(0, shear, True))
+    for axis, name in enumerate(("TranslateY", "TranslateX")):
+        ranges[name] = _Range(0, shift, True, axis if by == "size" else None)
+    ranges |= {"Rotate": _Range(0, angle, True), **dict.fromkeys(_COLORS, _Range(0, color, True))}
+    ranges |= {"Posterize": _Range(bits[0], bits[1], is_whole=True), "Solarize": _Range(1, 0)}
+    return {name: ranges.get(name) for name in names}
 
 
-def _share_of(side: str, share: float) -> _Magnitudes:
-    @functools.lru_cache(64)
-    def magnitudes(bins: int, height: int, width: int) -> list[float]:
-        most = share * (width if side == "x" else height)
-        values: list[float] = torch.linspace(0, most, bins, device="cpu").tolist()
-        return values
-
-    return magnitudes
+def _warp(**arguments: Any) -> Call:
+    return F.affine, {"angle": 0.0, "translate": [0, 0], "scale": 1.0, "shear": [0.0, 0.0], **arguments}
 
 
-_ROWS: dict[str, Callable[[float], dict[str, Any]]] = {
-    "ShearX": lambda m: {"shear": [math.degrees(math.atan(m)), 0.0], "center": [0, 0]},
-    "ShearY": lambda m: {"shear": [0.0, math.degrees(math.atan(m))], "center": [0, 0]},
-    "TranslateX": lambda m: {"translate": [int(m), 0]},
-    "TranslateY": lambda m: {"translate": [0, int(m)]},
+_OPERATIONS: dict[str, Callable[[float], Call]] = {
+    "ShearX": lambda m: _warp(shear=[math.degrees(math.atan(m)), 0.0], center=[0, 0]),
+    "ShearY": lambda m: _warp(shear=[0.0, math.degrees(math.atan(m))], center=[0, 0]),
+    "TranslateX": lambda m: _warp(translate=[int(m), 0]),
+    "TranslateY": lambda m: _warp(translate=[0, int(m)]),
+    "Rotate": lambda m: _warp(angle=-m),
+    "Brightness": lambda m: (F.adjust_brightness, {"brightness_factor": 1.0 + m}),
+    "Color": lambda m: (F.adjust_saturation, {"saturation_factor": 1.0 + m}),
+    "Contrast": lambda m: (F.adjust_contrast, {"contrast_factor": 1.0 + m}),
+    "Sharpness": lambda m: (F.adjust_sharpness, {"sharpness_factor": 1.0 + m}),
+    "Posterize": lambda m: (F.posterize, {"bits": int(m)}),
+    "Solarize": lambda m: (F.solarize, {"threshold": m}),
+    "AutoContrast": lambda _: (F.autocontrast, {}),
+    "Equalize": lambda _: (F.equalize, {}),
+    "Invert": lambda _: (F.invert, {}),
 }
-_COLORS = {
-    "Brightness": F.adjust_brightness,
-    "Color": F.adjust_saturation,
-    "Contrast": F.adjust_contrast,
-    "Sharpness": F.adjust_sharpness,
-}
-_PLAIN = {"AutoContrast": F.autocontrast, "Equalize": F.equalize, "Invert": F.invert}
 
 
-class _Policy(Transform):
-    draws = True
-    kinds = frozenset({"tensor", "image", "video", "pil"})
-    refused = frozenset({"boxes", "mask", "points"})
-    space: ClassVar[_Space] = _space(
-        0.3, _share_of("x", 150 / 331), _share_of("y", 150 / 331), 30, 0.9, (8, 4), "Identity"
-    )
+class _Policy(Transform, function=F.affine, kinds=IMAGES, refused=LABELS | {"mask"}, draws=True):
+    space: ClassVar[Mapping[str, _Range | None]] = _space(_USUAL, 0.3, 150 / 331, 30, 0.9, (8, 4))
 
     def check_inputs(self, flat_inputs: list[Any]) -> None:
         super().check_inputs(flat_inputs)
         if (images := sum(self._needed(flat_inputs))) != 1:
             raise TypeError(f"{type(self).__name__}: expected one image or video in the sample, got {images}")
 
-    def _drawn_magnitude(self, name: str, bins: int, index: int | None, size: tuple[int, int]) -> float:
-        """The magnitude of an operation at an index, None for a random one, with its sign."""
-        of_bins, signed = self.space[name]
-        magnitudes = of_bins(bins, *size)
-        if magnitudes is None:
-            return 0.0
+    def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
+        white = largest(flat_inputs[0].dtype) if isinstance(flat_inputs[0], Tensor) else 255.0
+        return {"operations": self._operations(size_of(flat_inputs)), "white": white}
+
+    def _operations(self, size: tuple[int, int]) -> list[Operation]:
+        """Names of operations and their magnitudes."""
+        raise NotImplementedError
+
+    def _operation(self, size: tuple[int, int], bins: int, index: int | None = None, name: str = "") -> Operation:
+        """An operation and its magnitude with its sign; a random one without a name, of a random index without one."""
+        name = name or tuple(self.space)[draw.integer(0, len(self.space))]
+        if (numbers := self.space[name]) is None:
+            return name, 0.0
+        last = numbers.last if numbers.of is None else numbers.last * size[numbers.of]
+        magnitudes = _magnitudes(numbers.first, last, bins, numbers.is_whole)
         number = float(magnitudes[draw.integer(0, bins) if index is None else index])
-        return -number if signed and draw.unit() <= 0.5 else number
+        return name, -number if numbers.signed and draw.unit() <= 0.5 else number
 
-    def _choose(self, space: _Space) -> str:
-        return tuple(space)[draw.integer(0, len(space))]
-
-    def _operate(self, x: Any, name: str, magnitude: float) -> Any:
-        fill = fill_of(self.fill, x)
-        if name in _ROWS:
-            options: dict[str, Any] = {
-                "angle": 0.0,
-                "translate": [0, 0],
-                "scale": 1.0,
-                "shear": [0.0, 0.0],
-                **_ROWS[name](magnitude),
-            }
-            return self._call_kernel(F.affine, x, **options, interpolation=self.interpolation, fill=fill)
-        if name == "Rotate":
-            return self._call_kernel(F.rotate, x, magnitude, interpolation=self.interpolation, fill=fill)
-        if name in _COLORS:
-            return self._call_kernel(_COLORS[name], x, 1.0 + magnitude)
-        if name == "Posterize":
-            return self._call_kernel(F.posterize, x, int(magnitude))
-        if name == "Solarize":
-            return self._call_kernel(F.solarize, x, (largest(x.dtype) if isinstance(x, Tensor) else 255.0) * magnitude)
-        return self._call_kernel(_PLAIN[name], x) if name in _PLAIN else x
+    def _calls(self, options: dict[str, Any], params: dict[str, Any]) -> list[Call]:
+        calls = []
+        for name, magnitude in params["operations"]:
+            if name in _OPERATIONS:
+                function, own = _OPERATIONS[name](magnitude * params["white"] if name == "Solarize" else magnitude)
+                calls.append((function, {**own, **options} if function is F.affine else own))
+        return calls
 
 
-_OPERATIONS = {"shear_x": "ShearX", "shear_y": "ShearY", "translate_x": "TranslateX", "translate_y": "TranslateY"}
-_OPERATIONS |= {"auto_contrast": "AutoContrast"}
+_NAMES = {name.lower(): name for name in _OPERATIONS}  # by those of kvision.augmentation without "_"
 
 
 class AutoAugment(_Policy):
@@ -276,21 +257,18 @@ class AutoAugment(_Policy):
     interpolation: Interpolation = "nearest"
     fill: Fill = None
 
-    space = _space(0.3, _share_of("x", 150 / 331), _share_of("y", 150 / 331), 30, 0.9, (8, 4), "Invert")
+    space = _space((*_MOVES, *_COLORS, *_LEVELS, "Invert"), 0.3, 150 / 331, 30, 0.9, (8, 4))
 
     def __post_init__(self) -> None:
         from kvision.augmentation.auto.policies import AUTO_POLICIES, parse_policy
 
         super().__post_init__()
         rows = parse_policy(AUTO_POLICIES[AutoAugmentPolicy(getattr(self.policy, "value", self.policy)).value])
-        self._entries = [[(_OPERATIONS.get(n, n.title()), p, level) for n, p, level in row] for row in rows]
+        self._entries = [[(_NAMES[n.replace("_", "")], p, level) for n, p, level in row] for row in rows]
 
-    def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
-        size = size_of([inpt])
-        for name, p, level in self._entries[draw.integer(0, len(self._entries))]:
-            if draw.unit() <= p:
-                inpt = self._operate(inpt, name, self._drawn_magnitude(name, 10, level, size))
-        return inpt
+    def _operations(self, size: tuple[int, int]) -> list[Operation]:
+        entry = self._entries[draw.integer(0, len(self._entries))]
+        return [self._operation(size, 10, level, name) for name, p, level in entry if draw.unit() <= p]
 
 
 class RandAugment(_Policy):
@@ -319,12 +297,8 @@ class RandAugment(_Policy):
 
     checks = {"num_ops": lambda op, name, value: _check.ints(op, name, value, 1, 0)[0]}
 
-    def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
-        for _ in range(self.num_ops):
-            name = self._choose(self.space)
-            size = size_of([inpt])
-            inpt = self._operate(inpt, name, self._drawn_magnitude(name, self.num_magnitude_bins, self.magnitude, size))
-        return inpt
+    def _operations(self, size: tuple[int, int]) -> list[Operation]:
+        return [self._operation(size, self.num_magnitude_bins, self.magnitude) for _ in range(self.num_ops)]
 
 
 class TrivialAugmentWide(_Policy):
@@ -347,11 +321,10 @@ class TrivialAugmentWide(_Policy):
     interpolation: Interpolation = "nearest"
     fill: Fill = None
 
-    space = _space(0.99, _linear(0, 32), _linear(0, 32), 135, 0.99, (8, 6), "Identity")
+    space = _space(_USUAL, 0.99, 32, 135, 0.99, (8, 2), by="pixels")
 
-    def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
-        name = self._choose(self.space)
-        return self._operate(inpt, name, self._drawn_magnitude(name, self.num_magnitude_bins, None, size_of([inpt])))
+    def _operations(self, size: tuple[int, int]) -> list[Operation]:
+        return [self._operation(size, self.num_magnitude_bins)]
 
 
 class AugMix(_Policy):
@@ -382,31 +355,38 @@ class AugMix(_Policy):
     interpolation: Interpolation = "bilinear"
     fill: Fill = None
 
-    space = _space(0.3, _share_of("x", 1 / 3), _share_of("y", 1 / 3), 30, 0.9, (4, 4), "last")
-    bins = 10
+    space = _space((*_MOVES, *_LEVELS, *_COLORS), 0.3, 1 / 3, 30, 0.9, (4, 0))
     checks = {"severity": lambda op, name, value: _check.ints(op, name, value, 1, 1, 10)[0]}
     _applies_functions = False
 
+    def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
+        return {}
+
+    def _operations(self, size: tuple[int, int]) -> list[Operation]:
+        names = [name for name in self.space if self.all_ops or name not in _COLORS]
+        chain = []
+        for _ in range(self.chain_depth if self.chain_depth > 0 else draw.integer(1, 4)):
+            name = names[draw.integer(0, len(names))]
+            index = None if self.space[name] is None else draw.integer(0, self.severity)
+            chain.append(self._operation(size, 10, index, name))
+        return chain
+
     def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
-        image = pil_to_tensor(inpt) if kind_of(inpt) == "pil" else plain(inpt)
-        space = self.space if self.all_ops else {n: self.space[n] for n in self.space if n not in _COLORS}
+        image, options = pil_to_tensor(inpt) if kind_of(inpt) == "pil" else plain(inpt), self._options_for(inpt)
         samples = image.shape[0] if image.dim() > (4 if kind_of(inpt) == "video" else 3) else 1
         weights = (samples, *(1,) * (image.dim() - 1)) if samples > 1 else ()
 
         def dirichlet(count: int) -> Tensor:
-            return sample_dirichlet(torch.full((count,), float(self.alpha), device="cpu").expand(samples, -1)).to(
-                image.device
-            )
+            alpha = torch.full((count,), float(self.alpha), device="cpu")
+            return sample_dirichlet(alpha.expand(samples, -1)).to(image.device)
 
         kept, mixed = dirichlet(2).unbind(1)
         shares = dirichlet(self.mixture_width) * mixed[:, None]
         mix = kept.reshape(weights) * image
-        for i in range(self.mixture_width):
+        for share in shares.unbind(1):
             chain = image
-            for _ in range(self.chain_depth if self.chain_depth > 0 else draw.integer(1, 4)):
-                name = self._choose(space)
-                index = None if space[name][0] is _none else draw.integer(0, self.severity)
-                chain = self._operate(chain, name, self._drawn_magnitude(name, self.bins, index, size_of([image])))
-            mix += shares[:, i].reshape(weights) * chain
+            for function, arguments in self._calls(options, super().make_params([image])):
+                chain = function(chain, **arguments)
+            mix += share.reshape(weights) * chain
         mix = mix.to(image.dtype)
         return to_pil_image(mix, inpt.mode) if kind_of(inpt) == "pil" else wrap(mix, inpt)

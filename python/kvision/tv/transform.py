@@ -6,9 +6,7 @@ import dataclasses
 import enum
 import functools
 import inspect
-import itertools
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from contextvars import ContextVar
 from typing import Any
 
@@ -20,24 +18,14 @@ from kvision._torch_compat import tree_flatten, tree_unflatten
 from kvision._tv_tensors import TV_TENSORS, kind_of, plain, wrap
 from kvision.tv import argument, draw
 from kvision.tv.functional.dispatch import on_device, takes
+from kvision.tv.functional.steps import apply_steps
 from kvision.tv.inputs import EVERYTHING, IMAGES, LABELS, channels_of, height_and_width
 
 Step = tuple[str, Any]
-_EXPLICIT = frozenset({"image", "video", "pil"})
-_LEAVES = frozenset({"tensor", "array", "pil", *TV_TENSORS})
-_ALL_TENSORS = EVERYTHING | {"tv_tensor"}
-_once: ContextVar[bool] = ContextVar("kvision.tv draws once", default=False)
-# Where set, calls of functions are noted, not made: those of a sample of a batch.
-_calls: ContextVar[list[Any] | None] = ContextVar("kvision.tv calls", default=None)
-
-
-@contextmanager
-def draws_once() -> Iterator[None]:
-    token = _once.set(True)
-    try:
-        yield
-    finally:
-        _once.reset(token)
+Call = tuple[Callable[..., Any], dict[str, Any]]  # a function and its arguments beside the input
+_EXPLICIT = IMAGES - {"tensor"}
+_LEAVES = TV_TENSORS | {"tensor", "array", "pil"}
+ONCE: ContextVar[bool] = ContextVar("kvision.tv draws once", default=False)
 
 
 @dataclass_transform(eq_default=False)
@@ -57,20 +45,20 @@ class Transform(nn.Module):
         {'image': tensor([0.5000]), 'label': 3}
     """
 
-    kinds: frozenset[str] = _ALL_TENSORS
+    kinds: Set[str] = EVERYTHING | {"tv_tensor"}
     """The kinds of inputs that are transformed."""
-    refused: frozenset[str] = frozenset()
+    refused: Set[str] = frozenset()
     """The kinds of inputs that a sample must not have."""
     draws: bool = False
     """Whether each sample of a batch (B, C, H, W) draws numbers of its own."""
     checks: Mapping[str, argument.Check] = {}
     """What makes arguments of a constructor what is kept of them, where it is not what `argument.CHECKS` says."""
-    _applies_functions = True  # of the size alone, so that calls of all samples can be made together
+    _applies_functions = True  # by parameters of the size alone, so that calls of all samples can be made together
     _function: Callable[..., Any] | None = None
-    _options: tuple[str, ...] = ()  # the fields of the class that its function takes
+    _options: Mapping[str, str] = {}  # the field of each argument of the function that the class has
 
     # In this package a class is its fields, which are the arguments of v2's constructor, what it draws, and the function that is
-    # applied by both.
+    # applied by both. Attributes such as `kinds` are given with the function.
 
     def __new__(cls, *args: Any, **kwargs: Any) -> Self:
         self = super().__new__(cls)
@@ -78,17 +66,22 @@ class Transform(nn.Module):
         return self
 
     def __init_subclass__(
-        cls, function: Callable[..., Any] | None = None, kw_only: bool = False, **kwargs: Any
+        cls,
+        function: Callable[..., Any] | None = None,
+        kw_only: bool = False,
+        renamed: Mapping[str, str] = {},  # arguments of the function by the fields that have other names
+        **attributes: Any,
     ) -> None:
-        super().__init_subclass__(**kwargs)
         if not cls.__module__.startswith("kvision.tv."):
+            super().__init_subclass__(**attributes)
             cls._applies_functions = False
             return
         dataclasses.dataclass(eq=False, repr=False, kw_only=kw_only)(cls)
-        if function is not None:
-            cls._function = staticmethod(function)
-            fields = cls.__dataclass_fields__  # type: ignore[attr-defined]  # of a dataclass
-            cls._options = tuple(name for name in inspect.signature(function).parameters if name in fields)
+        for name, value in {**attributes, **({"_function": staticmethod(function)} if function else {})}.items():
+            setattr(cls, name, value)
+        if cls._function is not None:
+            taken, fields = inspect.signature(cls._function).parameters, cls.__dataclass_fields__  # type: ignore[attr-defined]
+            cls._options = {renamed.get(f, f): f for f in fields if renamed.get(f, f) in taken}
 
     def __post_init__(self) -> None:
         op = type(self).__name__
@@ -102,21 +95,28 @@ class Transform(nn.Module):
         if self.refused and not self.refused.isdisjoint(kind_of(x) for x in flat_inputs):
             raise TypeError(f"{type(self).__name__}: expected a sample without {', '.join(sorted(self.refused))}")
 
-    def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
-        """Draw the parameters of a sample, given its inputs that are transformed."""
+    def make_params(self, flat_inputs: list[Any]) -> dict[str, Any] | None:
+        """Draw the parameters of a sample, given its inputs that are transformed; None for one that stays as it is."""
         return {}
 
     def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
         """Transform an input by the parameters."""
+        for function, arguments in self._calls(self._options_for(inpt), params):
+            if takes(function, inpt):
+                inpt = function(inpt, **arguments)
+        return inpt
+
+    def _calls(self, options: dict[str, Any], params: dict[str, Any]) -> list[Call]:
+        """The calls that transform an input by the parameters, one after the other."""
         if self._function is None:
             raise NotImplementedError(f"{type(self).__name__}.transform")
-        return self._call_kernel(self._function, inpt, **{**self._options_for(inpt), **params})
+        return [(self._function, {**options, **params})]
 
     def _options_for(self, inpt: Any) -> dict[str, Any]:
         """What the function of the class gets beside the parameters."""
-        options = {name: getattr(self, name) for name in self._options}
-        if isinstance(options.get("fill"), dict):
-            options["fill"] = fill_of(options["fill"], inpt)
+        options = {argument: getattr(self, field) for argument, field in self._options.items()}
+        if isinstance(fill := options.get("fill"), dict):  # by class of input, "others" for the rest
+            options["fill"] = fill[type(inpt)] if type(inpt) in fill else fill.get("others")
         return options
 
     def _step(self, dtype: torch.dtype, channels: int) -> Step | None:
@@ -125,29 +125,23 @@ class Transform(nn.Module):
 
     def _call_kernel(self, functional: Callable[..., Any], inpt: Any, *args: Any, **kwargs: Any) -> Any:
         """Apply a function of kvision.tv.functional, which passes on what it does not change."""
-        if hasattr(functional, "kinds") and not takes(functional, inpt):
-            return inpt
-        calls = _calls.get()
-        if calls is None:
-            return functional(inpt, *args, **kwargs)
-        calls.append((functional, (args, kwargs)))
-        return inpt
+        return functional(inpt, *args, **kwargs) if takes(functional, inpt) else inpt
 
     def forward(self, *inputs: Any) -> Any:
-        sample = inputs if len(inputs) > 1 else inputs[0]
-        is_leaf = kind_of(sample) in _LEAVES  # needs no look for nested inputs
-        flat, spec = ([sample], None) if is_leaf else tree_flatten(sample)
+        flat, spec = flatten(inputs)
         self.check_inputs(flat)
         needed = self._needed(flat)
         samples = count_samples(flat, needed) if self.draws else 0
         outputs = self._each(flat, needed, samples) if samples else self._flat(flat, needed)
-        return outputs[0] if spec is None else tree_unflatten(outputs, spec)
+        return unflatten(outputs, spec)
 
     def _needed(self, flat: list[Any]) -> list[bool]:
         """Which inputs are transformed."""
+        if len(flat) == 1:
+            return [kind_of(flat[0]) in self.kinds]
         kinds = [kind_of(x) for x in flat]
         needed = [kind in self.kinds for kind in kinds]
-        if len(kinds) > 1 and "tensor" in kinds and "tensor" in self.kinds:
+        if "tensor" in kinds and "tensor" in self.kinds:
             first = -1 if not _EXPLICIT.isdisjoint(kinds) else kinds.index("tensor")
             needed = [is_needed and (kinds[i] != "tensor" or i == first) for i, is_needed in enumerate(needed)]
         return needed
@@ -170,28 +164,28 @@ class Transform(nn.Module):
             first = next(split(flat, needed, samples))  # samples are of one size
             inputs = _Inputs(x for x, is_needed in zip(first, needed) if is_needed)
             params = [self._drawn(inputs) for _ in range(samples)]
-            calls = [self._calls_of(x, params) if is_needed else [] for x, is_needed in zip(first, needed)]
-        return [apply_calls(x, c) if is_needed else x for x, c, is_needed in zip(flat, calls, needed)]
+        return [self._applied(x, params) if is_needed else x for x, is_needed in zip(flat, needed)]
 
-    def _calls_of(self, x: Any, params: list[dict[str, Any] | None]) -> list[list[Any]]:
-        """The calls of functions that transform each sample."""
-        calls: list[list[Any]] = [[] for _ in params]
-        if type(self).transform is Transform.transform and self._function is not None:
-            options = self._options_for(x) if takes(self._function, x) else None
-            return [[] if p is None or options is None else [(self._function, ((), {**options, **p}))] for p in params]
-        for own, p in zip(calls, params):
-            token = _calls.set(own)
-            try:
-                if p is not None:
-                    self.transform(x, p)
-            finally:
-                _calls.reset(token)
-        return calls
+    def _applied(self, x: Any, params: list[dict[str, Any] | None]) -> Any:
+        """A batch transformed by the parameters of each sample."""
+        options = self._options_for(x)
+        return apply_calls(x, [[] if p is None else self._calls(options, p) for p in params])
 
     def extra_repr(self) -> str:
         shown = (bool, int, float, str, tuple, list, enum.Enum)
         items = ((name, value) for name, value in vars(self).items() if name[0] != "_" and name != "training")
         return ", ".join(f"{name}={value}" for name, value in items if isinstance(value, shown))
+
+
+def flatten(inputs: tuple[Any, ...]) -> tuple[list[Any], Any]:
+    """The inputs of a call, and how they are nested."""
+    if len(inputs) == 1 and kind_of(inputs[0]) in _LEAVES:  # needs no look for nested inputs
+        return [*inputs], None
+    return tree_flatten(inputs if len(inputs) > 1 else inputs[0])
+
+
+def unflatten(outputs: list[Any], spec: Any) -> Any:
+    return outputs[0] if spec is None else tree_unflatten(outputs, spec)
 
 
 def count_samples(flat: list[Any], needed: list[bool]) -> int:
@@ -204,7 +198,7 @@ def count_samples(flat: list[Any], needed: list[bool]) -> int:
         if kind == "pil" or kind in LABELS or x.ndim <= _AXES.get(kind, 3) or samples not in (0, x.shape[0]):
             return 0
         samples = x.shape[0]
-    return 0 if samples == 1 or _once.get() else samples
+    return 0 if samples == 1 or ONCE.get() else samples
 
 
 _AXES = {"video": 4, "mask": 2}  # of a sample; 3 for images
@@ -245,17 +239,20 @@ class RandomTransform(Chance):
     p: float = 0.5
 
 
-def apply_calls(x: Any, calls: list[list[Any]]) -> Any:
-    """Make the calls of each sample of a batch, in turn; those of one function together."""
-    for turn in itertools.zip_longest(*calls):
+def apply_calls(x: Any, calls: list[list[Call]]) -> Any:
+    """Make the calls of each sample of a batch, in turn: steps of colors together, then those of one function together."""
+    passed_on = {f for f in {call[0] for own in calls for call in own} if not takes(f, x)}
+    calls = [[call for call in own if call[0] not in passed_on] for own in calls]
+    while any(calls):
+        x = apply_steps(x, calls)
         by_function: dict[Any, list[int]] = {}
-        for i, call in enumerate(turn):
-            if call is not None:
-                by_function.setdefault(call[0], []).append(i)
+        for i, own in enumerate(calls):
+            if own:
+                by_function.setdefault(own[0][0], []).append(i)
         source, is_copy = x, False
         for function, chosen in by_function.items():
-            arguments = [turn[i][1] for i in chosen]
-            if len(chosen) == len(source):
+            arguments = [calls[i].pop(0)[1] for i in chosen]
+            if len(chosen) == len(calls):
                 x = function.of_each(source, arguments)
                 continue
             index = on_device(chosen, source.device)
@@ -286,24 +283,17 @@ def size_of(flat: Sequence[Any]) -> tuple[int, int]:
     if isinstance(flat, _Inputs):
         return flat.size
     sizes = {height_and_width(x) for x in flat if kind_of(x) in EVERYTHING}
-    if len(sizes) == 1:
-        return sizes.pop()
-    if not sizes:
-        raise TypeError("expected an image, a video, a mask, boxes or key points in the sample, got none")
-    raise ValueError(f"expected one height and width in the sample, got {sorted(sizes)}")
+    return _only(sizes, "height and width", "an image, a video, a mask, boxes or key points")
 
 
 def channels_in(flat: Sequence[Any]) -> int:
     channels = {channels_of(x) for x in flat if kind_of(x) in IMAGES}
-    if len(channels) == 1:
-        return channels.pop()
-    if not channels:
-        raise TypeError("expected an image or a video in the sample, got none")
-    raise ValueError(f"expected images of one number of channels in the sample, got {sorted(channels)}")
+    return _only(channels, "number of channels", "an image or a video")
 
 
-def fill_of(fill: Any, x: Any) -> Any:
-    """The fill of an input: one for all, or by class of input, "others" for the rest."""
-    if not isinstance(fill, dict):
-        return fill
-    return fill[type(x)] if type(x) in fill else fill.get("others")
+def _only(found: set[Any], what: str, of: str) -> Any:
+    if not found:
+        raise TypeError(f"expected {of} in the sample, got none")
+    if len(found) > 1:
+        raise ValueError(f"expected one {what} in the sample, got {sorted(found)}")
+    return found.pop()

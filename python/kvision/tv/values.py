@@ -9,15 +9,20 @@ import torch
 from torch import Tensor
 
 from kvision import _check
-from kvision._torch_compat import tree_flatten, tree_unflatten
 from kvision._tv_tensors import TV_TENSORS, kind_of, plain, wrap
 from kvision.tv import argument
 from kvision.tv import functional as F
-from kvision.tv.inputs import PIXELS
-from kvision.tv.transform import Step, Transform
+from kvision.tv.inputs import IMAGES, PIXELS
+from kvision.tv.transform import Step, Transform, flatten, unflatten
+
+__all__ = [
+    "ClampBoundingBoxes", "ClampKeyPoints", "ConvertBoundingBoxFormat", "ConvertImageDtype", "Identity", "Lambda",
+    "LinearTransformation", "Normalize", "PILToTensor", "SanitizeBoundingBoxes", "SanitizeKeyPoints",
+    "SetClampingMode", "ToDtype", "ToImage", "ToPILImage", "ToPureTensor", "ToTensor", "UniformTemporalSubsample",
+]  # fmt: skip
 
 
-class Identity(Transform):
+class Identity(Transform, kinds=frozenset()):
     """Return the input.
 
     Example:
@@ -27,11 +32,8 @@ class Identity(Transform):
         tensor([1.])
     """
 
-    def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
-        return inpt
 
-
-class Lambda(Transform):
+class Lambda(Transform, kinds={*PIXELS, *TV_TENSORS, "array", "other"}):
     """Apply a function of your own to inputs of some classes.
 
     Args:
@@ -44,8 +46,6 @@ class Lambda(Transform):
         (2, 2.0)
     """
 
-    kinds = frozenset({*PIXELS, *TV_TENSORS, "array", "other"})
-
     def __init__(self, lambd: Callable[[Any], Any], *types: type) -> None:
         super().__init__()
         self.lambd, self.types = lambd, types or (object,)
@@ -57,7 +57,7 @@ class Lambda(Transform):
         return f"{getattr(self.lambd, '__name__', '')}, types={[cls.__name__ for cls in self.types]}"
 
 
-class LinearTransformation(Transform):
+class LinearTransformation(Transform, kinds=IMAGES - {"pil"}, refused={"pil"}):
     """Subtract a mean from flattened images and multiply them by a matrix, such as that of whitening.
 
     Args:
@@ -73,9 +73,6 @@ class LinearTransformation(Transform):
 
     transformation_matrix: Tensor
     mean_vector: Tensor
-
-    kinds = frozenset({"tensor", "image", "video"})
-    refused = frozenset({"pil"})
 
     def __post_init__(self) -> None:
         op, mean, matrix = "LinearTransformation", self.mean_vector, self.transformation_matrix
@@ -93,13 +90,7 @@ class LinearTransformation(Transform):
         return wrap((flat @ self.transformation_matrix.to(flat.dtype)).reshape(x.shape), inpt)
 
 
-def _dtypes(op: str, name: str, value: Any) -> Any:
-    if not isinstance(value, (dict, torch.dtype)) or value == {}:
-        raise ValueError(f"{op}: expected {name} to be a torch.dtype or a dict of them, got {value!r}")
-    return value
-
-
-class Normalize(Transform, function=F.normalize):
+class Normalize(Transform, function=F.normalize, refused={"pil"}):
     """Subtract means from the channels and divide by standard deviations.
 
     Args:
@@ -118,7 +109,6 @@ class Normalize(Transform, function=F.normalize):
     std: Sequence[float]
     inplace: bool = False
 
-    refused = frozenset({"pil"})
     checks = dict.fromkeys(("mean", "std"), lambda op, name, values: [_check.number(op, name, x) for x in values])
 
     def _step(self, dtype: torch.dtype, channels: int) -> Step | None:
@@ -128,7 +118,10 @@ class Normalize(Transform, function=F.normalize):
         return "Normalize", (("mean", tuple(self.mean)), ("std", tuple(self.std)))
 
 
-class ToDtype(Transform, function=F.to_dtype):
+_dtypes = argument.where(argument.anything, lambda v: v and isinstance(v, (dict, torch.dtype)), "a dtype or a dict")
+
+
+class ToDtype(Transform, function=F.to_dtype, kinds=Transform.kinds - {"pil"}):
     """Convert to another type.
 
     Args:
@@ -145,7 +138,6 @@ class ToDtype(Transform, function=F.to_dtype):
     dtype: torch.dtype | dict[Any, torch.dtype | None]
     scale: bool = False
 
-    kinds = Transform.kinds - {"pil"}
     checks = {"dtype": _dtypes, "scale": _check.switch}
 
     def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
@@ -161,7 +153,7 @@ class ToDtype(Transform, function=F.to_dtype):
         return ("dtype", torch.float32) if self.dtype == torch.float32 and self.scale and dtype == torch.uint8 else None
 
 
-class ConvertImageDtype(Transform, function=F.to_dtype):
+class ConvertImageDtype(Transform, function=F.convert_image_dtype, kinds=Transform.kinds - {"pil"}):
     """Convert images to another type; white stays white.
 
     Args:
@@ -176,13 +168,8 @@ class ConvertImageDtype(Transform, function=F.to_dtype):
 
     dtype: torch.dtype = torch.float32
 
-    kinds = Transform.kinds - {"pil"}
 
-    def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
-        return {"scale": True}
-
-
-class PILToTensor(Transform, function=F.pil_to_tensor):
+class PILToTensor(Transform, function=F.pil_to_tensor, kinds={"pil"}):
     """Copy PIL images into tensors.
 
     Example:
@@ -192,10 +179,8 @@ class PILToTensor(Transform, function=F.pil_to_tensor):
         torch.Size([1, 2, 3])
     """
 
-    kinds = frozenset({"pil"})
 
-
-class ToTensor(Transform):
+class ToTensor(Transform, kinds={"pil", "array"}):
     """Make float tensors in [0, 1] of PIL images and arrays of bytes; those of other types keep their values.
 
     v2 has deprecated it: :class:`ToImage` and :class:`ToDtype` with `scale=True` say the same in two steps.
@@ -207,17 +192,14 @@ class ToTensor(Transform):
         tensor([[[0.2000, 0.2000, 0.2000]]])
     """
 
-    kinds = frozenset({"pil", "array"})
-
     def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
-        x = F.pil_to_tensor(inpt) if kind_of(inpt) == "pil" else plain(F.to_image(inpt))
-        x = x.contiguous()
+        x = plain(F.to_image(inpt)).contiguous()
         if x.dtype == torch.uint8:
             return x.to(torch.get_default_dtype()).div(255)
         return x.to(torch.get_default_dtype()) if x.dtype == torch.bool else x
 
 
-class ToImage(Transform, function=F.to_image):
+class ToImage(Transform, function=F.to_image, kinds={"tensor", "pil", "array"}):
     """Make tv_tensors.Image of tensors, arrays and PIL images.
 
     Example:
@@ -227,10 +209,8 @@ class ToImage(Transform, function=F.to_image):
         torch.Size([1, 2, 3])
     """
 
-    kinds = frozenset({"tensor", "pil", "array"})
 
-
-class ToPILImage(Transform, function=F.to_pil_image):
+class ToPILImage(Transform, function=F.to_pil_image, kinds={"tensor", "image", "array"}):
     """Make PIL images of tensors and arrays.
 
     Args:
@@ -245,10 +225,8 @@ class ToPILImage(Transform, function=F.to_pil_image):
 
     mode: str | None = None
 
-    kinds = frozenset({"tensor", "image", "array"})
 
-
-class ToPureTensor(Transform, function=plain):
+class ToPureTensor(Transform, function=plain, kinds=TV_TENSORS):
     """Make plain tensors of tv_tensors.
 
     Example:
@@ -258,10 +236,8 @@ class ToPureTensor(Transform, function=plain):
         tensor([1.])
     """
 
-    kinds = TV_TENSORS
 
-
-class UniformTemporalSubsample(Transform, function=F.uniform_temporal_subsample):
+class UniformTemporalSubsample(Transform, function=F.uniform_temporal_subsample, kinds={"tensor", "video"}):
     """Choose frames at equal distances from videos (*, T, C, H, W).
 
     Args:
@@ -276,13 +252,13 @@ class UniformTemporalSubsample(Transform, function=F.uniform_temporal_subsample)
 
     num_samples: int
 
-    kinds = frozenset({"tensor", "video"})
-
 
 # --- boxes and key points -------------------------------------------------------------------------------------------
 
 
-class ConvertBoundingBoxFormat(Transform, function=F.convert_bounding_box_format):
+class ConvertBoundingBoxFormat(
+    Transform, function=F.convert_bounding_box_format, renamed={"format": "new_format"}, kinds={"boxes"}
+):
     """Convert boxes to another format.
 
     Args:
@@ -297,13 +273,8 @@ class ConvertBoundingBoxFormat(Transform, function=F.convert_bounding_box_format
 
     format: Any
 
-    kinds = frozenset({"boxes"})
 
-    def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
-        return {"new_format": self.format}
-
-
-class ClampBoundingBoxes(Transform, function=F.clamp_bounding_boxes):
+class ClampBoundingBoxes(Transform, function=F.clamp_bounding_boxes, kinds={"boxes"}):
     """Cut boxes off at the borders of their canvas.
 
     Args:
@@ -318,13 +289,8 @@ class ClampBoundingBoxes(Transform, function=F.clamp_bounding_boxes):
 
     clamping_mode: str | None = "auto"
 
-    kinds = frozenset({"boxes"})
 
-    def make_params(self, flat_inputs: list[Any]) -> dict[str, Any]:
-        return {"clamping_mode": self.clamping_mode}
-
-
-class ClampKeyPoints(Transform, function=F.clamp_keypoints):
+class ClampKeyPoints(Transform, function=F.clamp_keypoints, kinds={"points"}):
     """Move key points to the nearest pixel of the canvas.
 
     Example:
@@ -334,10 +300,8 @@ class ClampKeyPoints(Transform, function=F.clamp_keypoints):
         tensor([1.])
     """
 
-    kinds = frozenset({"points"})
 
-
-class SetClampingMode(Transform):
+class SetClampingMode(Transform, kinds={"boxes"}):
     """Set how transforms cut boxes off from now on.
 
     Args:
@@ -352,15 +316,16 @@ class SetClampingMode(Transform):
 
     clamping_mode: str | None
 
-    kinds = frozenset({"boxes"})
-    checks = {"clamping_mode": argument.choice_of((None, "soft", "hard"))}
+    checks = {"clamping_mode": argument.one_of(None, "soft", "hard")}
 
     def transform(self, inpt: Any, params: dict[str, Any]) -> Any:
         return wrap(plain(inpt).clone(), inpt, clamping_mode=self.clamping_mode)
 
 
-def labels_in(sample: Any) -> Any:
+def labels_in(sample: Any, getter: Any) -> Any:
     """The labels of (images, labels), of (image, target) or of a target: a tensor, or the entry named most like "labels"."""
+    if getter != "default":
+        return None if getter is None else getter(sample)
     sample = sample[1] if isinstance(sample, (tuple, list)) else sample
     if kind_of(sample) == "tensor":
         return sample
@@ -373,46 +338,31 @@ def labels_in(sample: Any) -> Any:
     return sample[min(names, key=lambda name: name.lower() != "labels")]
 
 
-def labels_getter_of(labels_getter: Any) -> Callable[[Any], Any]:
-    if labels_getter is None or callable(labels_getter):
-        return labels_getter or (lambda _: None)
-    if labels_getter != "default":
-        raise ValueError(f"labels_getter: expected 'default', a function or None, got {labels_getter!r}")
-    return labels_in
-
-
 class _Sanitize(Transform):
-    """Keep the valid entries of what `kind` says, of masks if they are as many, and of labels."""
-
-    kind = ""
-
-    def _valid(self, x: Any) -> Tensor:
-        raise NotImplementedError
+    """Keep the entries of boxes or key points that are valid, of masks if they are as many as boxes, and of labels."""
 
     def forward(self, *inputs: Any) -> Any:
-        sample, name = inputs if len(inputs) > 1 else inputs[0], type(self).__name__
-        labels = labels_getter_of(self.labels_getter)(sample)
+        (flat, spec), name, (kind,) = flatten(inputs), type(self).__name__, self.kinds
+        labels = labels_in(inputs if len(inputs) > 1 else inputs[0], self.labels_getter)
         labels = [] if labels is None else [labels] if isinstance(labels, Tensor) else labels
         if not isinstance(labels, (tuple, list)) or not all(isinstance(x, Tensor) for x in labels):
             raise ValueError(f"{name}: expected labels_getter to return a tensor, several or None, got {labels!r}")
-        flat, spec = tree_flatten(sample)
-        entries = [x for x in flat if kind_of(x) == self.kind]
-        if not entries:
-            raise ValueError(f"{name}: expected {self.kind} in the sample, got none")
-        valid = self._valid(entries[0])
+        entries = next((x for x in flat if kind_of(x) == kind), None)
+        if entries is None or self._function is None:
+            raise ValueError(f"{name}: expected {kind} in the sample, got none")
+        valid = self._function(entries, **self._options_for(entries))[1]
         if any(x.shape[0] != valid.shape[0] for x in labels):
             raise ValueError(f"{name}: expected {valid.shape[0]} labels, got {[x.shape[0] for x in labels]}")
-        return tree_unflatten([self._kept(x, valid, labels) for x in flat], spec)
+        return unflatten([self._kept(x, kind, valid, labels) for x in flat], spec)
 
-    def _kept(self, x: Any, valid: Tensor, labels: Sequence[Tensor]) -> Any:
-        kind, is_label = kind_of(x), any(x is label for label in labels)
-        follows = kind == "mask" and self.kind == "boxes" and x.dim() > 0 and x.shape[0] == valid.shape[0]
-        if kind != self.kind and not is_label and not follows:
-            return x
-        return x[valid] if is_label else wrap(plain(x)[valid], x)
+    def _kept(self, x: Any, kind: str, valid: Tensor, labels: Sequence[Tensor]) -> Any:
+        if any(x is label for label in labels):
+            return x[valid]
+        follows = kind_of(x) == "mask" and kind == "boxes" and x.dim() > 0 and x.shape[0] == valid.shape[0]
+        return wrap(plain(x)[valid], x) if follows or kind_of(x) == kind else x
 
 
-class SanitizeBoundingBoxes(_Sanitize):
+class SanitizeBoundingBoxes(_Sanitize, function=F.sanitize_bounding_boxes, kinds={"boxes"}):
     """Remove boxes that are small or leave their canvas, with their labels and masks.
 
     Args:
@@ -431,14 +381,10 @@ class SanitizeBoundingBoxes(_Sanitize):
     min_area: float = 1.0
     labels_getter: Any = "default"
 
-    kind = "boxes"
     checks = dict.fromkeys(("min_size", "min_area"), lambda op, name, value: _check.number(op, name, value, 1))
 
-    def _valid(self, x: Any) -> Tensor:
-        return F.sanitize_bounding_boxes(x, min_size=self.min_size, min_area=self.min_area)[1]
 
-
-class SanitizeKeyPoints(_Sanitize):
+class SanitizeKeyPoints(_Sanitize, function=F.sanitize_keypoints, kinds={"points"}):
     """Remove key points, or groups of them, that leave their canvas, with their labels.
 
     Args:
@@ -452,8 +398,3 @@ class SanitizeKeyPoints(_Sanitize):
     """
 
     labels_getter: Any = None
-
-    kind = "points"
-
-    def _valid(self, x: Any) -> Tensor:
-        return F.sanitize_keypoints(x)[1]

@@ -27,7 +27,8 @@ from kvision.enhance.batch import as_batch, shaped
 from kvision.enhance.normalize import standardize_rgb
 from kvision.filters import gaussian_blur2d
 from kvision.tv.functional.dispatch import functional, on_device
-from kvision.tv.functional.values import largest, of_all_types, tensors_only, to_dtype, truncated
+from kvision.tv.functional.values import HALF_A_LEVEL_DOWN, largest, of_all_types, tensors_only, to_dtype, truncated
+from kvision.tv.inputs import one_or_two
 
 LUMA = (0.2989, 0.587, 0.114)  # torchvision's weights
 
@@ -125,7 +126,10 @@ def _scaled(x: Tensor, factor: float) -> Tensor:
     return shaped(scale_shift(as_batch(x), factor, truncated(x), True), x)
 
 
-@functional(each=_each(_scaled, "brightness_factor"))
+@functional(
+    each=_each(_scaled, "brightness_factor"),
+    steps=lambda brightness_factor: [("scale_shift", brightness_factor, HALF_A_LEVEL_DOWN, 1.0)],
+)
 def adjust_brightness(inpt: Tensor, brightness_factor: float) -> Tensor:
     """Multiply an image by a factor, clamped to black and white.
 
@@ -148,12 +152,15 @@ def adjust_brightness(inpt: Tensor, brightness_factor: float) -> Tensor:
     return _scaled(inpt, brightness_factor)
 
 
+def _around_whole_levels(factor: Any) -> tuple[str, float, Any, float]:
+    """The step behind a change of the distance from v2's gray of bytes, which has whole levels, on average half a level less."""
+    return "scale_shift", 1.0, HALF_A_LEVEL_DOWN - (1 - factor) * 0.5 / 255, 1.0
+
+
 @of_all_types
 def _saturated(x: Tensor, factor: float) -> Tensor:
     rows = [tuple((1 - factor) * w + factor * (i == j) for j, w in enumerate(LUMA)) for i in range(3)]
-    shift = truncated(x)
-    if x.dtype == torch.uint8:
-        shift -= (1 - factor) * 0.5 / 255  # v2's gray has whole levels, on average half a level less
+    shift = _around_whole_levels(factor)[2] if x.dtype == torch.uint8 else 0.0
     numbers = affine_numbers((rows[0], rows[1], rows[2]), (shift, shift, shift), True)  # type: ignore[arg-type]
     return _program(x, ("affine", numbers))
 
@@ -164,7 +171,10 @@ def _blended(x: Tensor, factor: Tensor) -> Tensor:
     return (x * factor + _gray(x) * (1 - factor)).clamp_(0, largest(x.dtype)).to(x.dtype)
 
 
-@functional(each=_each(_of_colors(_blended), "saturation_factor"))
+@functional(
+    each=_each(_of_colors(_blended), "saturation_factor"),
+    steps=lambda saturation_factor: [("saturation_gray", saturation_factor), _around_whole_levels(saturation_factor)],
+)
 def adjust_saturation(inpt: Tensor, saturation_factor: float) -> Tensor:
     """Interpolate between an image and its gray, or extrapolate.
 
@@ -195,7 +205,10 @@ def _around_mean(x: Tensor, factor: float) -> Tensor:
     return shaped(scale_shift(batch, factor, mean * ((1 - factor) / largest(x.dtype)) + truncated(x), True), x)
 
 
-@functional(each=_each(_around_mean, "contrast_factor"))
+@functional(
+    each=_each(_around_mean, "contrast_factor"),
+    steps=lambda contrast_factor: [("contrast", contrast_factor, 0.0), _around_whole_levels(contrast_factor)],
+)
 def adjust_contrast(inpt: Tensor, contrast_factor: float) -> Tensor:
     """Interpolate between an image and the mean of its gray, or extrapolate.
 
@@ -220,7 +233,7 @@ def adjust_contrast(inpt: Tensor, contrast_factor: float) -> Tensor:
 
 
 # v2 converts the unit interval to bytes by a factor just below 256.
-_TO_LEVELS = ((255 + 1 - 1e-3) / 255, (-0.5 + 2.0**-10) / 255, True)
+_TO_LEVELS = ((255 + 1 - 1e-3) / 255, HALF_A_LEVEL_DOWN, True)
 
 
 @of_all_types
@@ -229,7 +242,10 @@ def _rotated_hue(x: Tensor, turns: float) -> Tensor:
     return _program(x, *steps, *([("scale_shift", _TO_LEVELS)] if x.dtype == torch.uint8 else []))
 
 
-@functional(each=_each(_of_colors(_rotated_hue), "hue_factor", -0.5, 0.5))
+@functional(
+    each=_each(_of_colors(_rotated_hue), "hue_factor", -0.5, 0.5),
+    steps=lambda hue_factor: [("hue", 2 * math.pi * hue_factor), ("scale_shift", *_TO_LEVELS)],
+)
 def adjust_hue(inpt: Tensor, hue_factor: float) -> Tensor:
     """Rotate the hue of an RGB image; gray images stay.
 
@@ -308,7 +324,7 @@ def adjust_sharpness(inpt: Tensor, sharpness_factor: float) -> Tensor:
     return inpt if min(inpt.shape[-2:]) <= 2 else _sharpened(inpt, sharpness_factor)
 
 
-@functional()
+@functional(steps=lambda bits: [("posterize", bits, 1.0)])
 def posterize(inpt: Tensor, bits: int) -> Tensor:
     """Keep the high bits of values, of floats those of 2^bits levels.
 
@@ -336,7 +352,17 @@ def posterize(inpt: Tensor, bits: int) -> Tensor:
     return inpt if lost <= 0 else inpt & (((1 << bits) - 1) << lost)
 
 
-@functional()
+def _check_threshold(threshold: float, white: float) -> None:
+    if threshold > white:
+        raise TypeCheckError(f"solarize: expected a threshold of at most {white}, got {threshold}")
+
+
+def _solarize_steps(threshold: Tensor) -> list[Any]:
+    _check_threshold(threshold.max().item(), 255.0)
+    return [("solarize", (threshold.ceil() - 0.5) / 255, 0.0, 0.0)]
+
+
+@functional(steps=_solarize_steps)
 def solarize(inpt: Tensor, threshold: float) -> Tensor:
     """Invert the values of at least a threshold.
 
@@ -355,9 +381,7 @@ def solarize(inpt: Tensor, threshold: float) -> Tensor:
         >>> F.solarize(torch.tensor([[[0.25, 0.75]]]), 0.5)
         tensor([[[0.2500, 0.2500]]])
     """
-    white = largest(inpt.dtype)
-    if threshold > white:
-        raise TypeCheckError(f"solarize: expected a threshold of at most {white}, got {threshold}")
+    _check_threshold(threshold, largest(inpt.dtype))
     if inpt.dtype == torch.uint8:
         return solarized(inpt, (math.ceil(threshold) - 0.5) / 255)  # between two levels
     return solarized(inpt, threshold) if inpt.is_floating_point() else torch.where(inpt < threshold, inpt, invert(inpt))
@@ -417,7 +441,7 @@ def equalize(inpt: Tensor) -> Tensor:
     return to_dtype(equalized(levels), inpt.dtype, scale=True)
 
 
-@functional()
+@functional(steps=lambda: [("scale_shift", -1.0, 1.0, 0.0)])
 def invert(inpt: Tensor) -> Tensor:
     """Subtract an image from white.
 
@@ -505,13 +529,6 @@ def normalize(inpt: Tensor, mean: Sequence[float], std: Sequence[float], inplace
     return (inpt.sub_(center) if inplace else inpt.sub(center)).div_(scale)
 
 
-def _two_numbers(op: str, name: str, value: Any) -> tuple[Any, Any]:
-    values = [value] if isinstance(value, (int, float)) else list(value)
-    if len(values) not in (1, 2):
-        raise ValueError(f"{op}: expected {name} to be a number or two, got {value!r}")
-    return values[0], values[-1]
-
-
 def _blur_each(x: Tensor, rows: list[dict[str, Any]]) -> Any:
     if len({tuple(row["kernel_size"]) for row in rows}) > 1 or not (x.is_floating_point() or x.dtype == torch.uint8):
         return NotImplemented
@@ -542,10 +559,10 @@ def gaussian_blur(
         >>> F.gaussian_blur(torch.ones(3, 8, 6), 3).shape
         torch.Size([3, 8, 6])
     """
-    kx, ky = _two_numbers("gaussian_blur", "kernel_size", kernel_size)
+    kx, ky = one_or_two("gaussian_blur", "kernel_size", kernel_size)
     if kx % 2 == 0 or ky % 2 == 0 or min(kx, ky) < 1:
         raise ValueError(f"gaussian_blur: expected odd kernel_size, got {kernel_size}")
-    sx, sy = (0.15 * kx + 0.35, 0.15 * ky + 0.35) if sigma is None else _two_numbers("gaussian_blur", "sigma", sigma)
+    sx, sy = (0.15 * kx + 0.35, 0.15 * ky + 0.35) if sigma is None else one_or_two("gaussian_blur", "sigma", sigma)
     if min(sx, sy) <= 0:
         raise ValueError(f"gaussian_blur: expected sigma above 0, got {sigma}")
     if inpt.numel() == 0:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -24,12 +24,14 @@ def functional(
     pil: Callable[..., Any] | None = None,
     mask: Callable[..., Any] | str | None = None,
     each: Callable[[Any, list[dict[str, Any]]], Any] | None = None,
+    steps: Callable[..., Sequence[Any]] | None = None,
 ) -> Callable[[Callable[..., Any]], Any]:
     """Make a public function of a kernel, which takes a tensor (*, C, H, W) and v2's arguments.
 
     `moves` says that masks, boxes and key points follow; `mask` is the kernel of masks where it is another, or "nearest" for that
     interpolation. `pil` is a function of PIL images with the same values; NotImplemented says that they differ for some arguments.
-    `each` is the kernel of images (B, C, H, W) with arguments of each; NotImplemented says that it has none for some.
+    `each` is the kernel of images (B, C, H, W) with arguments of each; NotImplemented says that it has none for some. `steps` are
+    those of a color program that a function of bytes is: names with their parameters, by tensors (B,) of the arguments.
     Boxes and key points are torchvision's: their classes exist only where it is loaded, and its functions are public.
     """
 
@@ -40,7 +42,7 @@ def functional(
 
         @functools.wraps(kernel)
         def call(inpt: Any, *args: Any, **kwargs: Any) -> Any:
-            args, kwargs = _as_numbers(args), {key: _as_numbers(value) for key, value in kwargs.items()}
+            args, kwargs = args and _as_numbers(args), {key: _as_numbers(value) for key, value in kwargs.items()}
             kind = kind_of(inpt)
             if kind == "tensor":
                 return kernel(inpt, *args, **kwargs)
@@ -65,6 +67,7 @@ def functional(
             )
 
         call.kinds = IMAGES | {"mask"} | LABELS if moves else IMAGES  # type: ignore[attr-defined]
+        call.steps = steps  # type: ignore[attr-defined]
         call.of_each = functools.partial(_of_each, call, each, mask, parameters)  # type: ignore[attr-defined]
         return call
 
@@ -73,41 +76,38 @@ def functional(
 
 def _as_numbers(value: Any) -> Any:
     """Numbers of NumPy or torch, and lists of them, as Python's, which v2's arguments are."""
+    if type(value) in (int, float, str):
+        return value
     if type(value) in (list, tuple):
-        return type(value)(map(_as_numbers, value))
+        return type(value)([_as_numbers(v) for v in value])
     is_number = isinstance(value, np.generic) or (
         isinstance(value, Tensor) and value.dim() == 0 and not value.requires_grad
     )
     return value.item() if is_number else value
 
 
-Arguments = tuple[tuple[Any, ...], dict[str, Any]]
-
-
-def _of_each(call: Any, each: Any, mask: Any, parameters: Any, x: Any, arguments: list[Arguments]) -> Any:
+def _of_each(call: Any, each: Any, mask: Any, parameters: Any, x: Any, arguments: list[dict[str, Any]]) -> Any:
     """A function of a batch of images, or of their masks, by arguments of each."""
-    args, kwargs = arguments[0]
-    if all(_are_equal(args, a) and _are_equal(kwargs, k) for a, k in arguments):
-        return call(x, *args, **kwargs)
+    if all(_are_equal(arguments[0], other) for other in arguments):
+        return call(x, **arguments[0])
     kind = kind_of(x)
     is_image = kind in ("tensor", "image") and plain(x).dim() == 4
     if each is not None and (is_image or (kind == "mask" and not callable(mask))):
         defaults = {p.name: p.default for p in parameters}
-        rows = [{**defaults, **dict(zip(defaults, args)), **kwargs} for args, kwargs in arguments]
+        rows = [{**defaults, **own} for own in arguments]
         if kind == "mask" and mask is not None:
             rows[0]["interpolation"] = mask
         batch = plain(x)
         output = each(batch if batch.dim() == 4 else batch[:, None], rows)
         if output is not NotImplemented:
             return wrap(output if batch.dim() == 4 else output[:, 0], x)
-    outputs = [call(wrap(part, x), *args, **kwargs) for part, (args, kwargs) in zip(plain(x), arguments)]
+    outputs = [call(wrap(part, x), **own) for part, own in zip(plain(x), arguments)]
     return wrap(torch.stack([plain(y) for y in outputs]), x)
 
 
-def _are_equal(a: Any, b: Any) -> bool:
+def _are_equal(a: dict[str, Any], b: dict[str, Any]) -> bool:
     """Whether arguments without tensors are equal."""
-    values = (*a, *b) if isinstance(a, tuple) else (*a.values(), *b.values())
-    return not any(isinstance(v, Tensor) for v in values) and a == b
+    return not any(isinstance(v, Tensor) for v in (*a.values(), *b.values())) and a == b
 
 
 def on_device(values: Any, device: torch.device) -> Tensor:
@@ -117,12 +117,12 @@ def on_device(values: Any, device: torch.device) -> Tensor:
 
 def takes(function: Callable[..., Any], x: Any) -> bool:
     """Whether `function` changes inputs such as `x`; transforms pass others on."""
-    kind = kind_of(x)
-    if kind == "tensor":
+    if (kind := kind_of(x)) == "tensor":
         return True
-    return kind in function.kinds or (  # type: ignore[attr-defined]
-        kind in TV_TENSORS and _own_kernel(function.__name__, x) is not None
-    )
+    kinds = getattr(function, "kinds", None)
+    if kinds is None or kind in kinds:
+        return True
+    return kind in TV_TENSORS and _own_kernel(function.__name__, x) is not None
 
 
 def register_kernel(functional: Callable[..., Any] | str, tv_tensor_cls: type) -> Callable[[Any], Any]:

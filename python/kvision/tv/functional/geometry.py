@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from enum import Enum
 from typing import Any
 
+import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor
@@ -21,6 +22,7 @@ from kvision.geometry import transform
 from kvision.geometry.transform import nearest, sampling
 from kvision.geometry.transform.resize_windows import resized_windows
 from kvision.tv.functional.dispatch import functional, on_device
+from kvision.tv.inputs import one_or_two
 
 Fill = float | Sequence[float] | None
 Size = int | Sequence[int] | None
@@ -145,13 +147,7 @@ def crop(inpt: Tensor, top: int, left: int, height: int, width: int) -> Tensor:
     return F.pad(inside, [before[0], after[0], before[1], after[1]])
 
 
-def _two(op: str, name: str, size: Any) -> tuple[int, int]:
-    """The height and width that an int, a sequence of one or of two say."""
-    if isinstance(size, int):
-        return size, size
-    if isinstance(size, (tuple, list)) and len(size) in (1, 2):
-        return int(size[0]), int(size[-1])
-    raise ValueError(f"{op}: expected {name} to be an int or one or two of them, got {size!r}")
+_crop = crop.__wrapped__  # of tensors
 
 
 def _center(height: int, width: int, size: tuple[int, int]) -> tuple[int, int]:
@@ -182,8 +178,8 @@ def center_crop(inpt: Tensor, output_size: int | Sequence[int]) -> Tensor:
         >>> F.center_crop(torch.arange(9.0).reshape(1, 3, 3), 1)
         tensor([[[4.]]])
     """
-    size = _two("center_crop", "output_size", output_size)
-    return crop(inpt, *_center(inpt.shape[-2], inpt.shape[-1], size), *size)
+    size = one_or_two("center_crop", "output_size", output_size)
+    return _crop(inpt, *_center(inpt.shape[-2], inpt.shape[-1], size), *size)
 
 
 @functional()
@@ -205,11 +201,11 @@ def five_crop(inpt: Tensor, size: int | Sequence[int]) -> tuple[Tensor, ...]:
         >>> [x.item() for x in F.five_crop(torch.arange(9).reshape(1, 3, 3), 1)]
         [0, 2, 6, 8, 4]
     """
-    (h, w), (height, width) = _two("five_crop", "size", size), inpt.shape[-2:]
+    (h, w), (height, width) = one_or_two("five_crop", "size", size), inpt.shape[-2:]
     if h > height or w > width:
         raise ValueError(f"five_crop: expected a size of at most {height} x {width}, got {h} x {w}")
     corners = [(0, 0), (0, width - w), (height - h, 0), (height - h, width - w), _center(height, width, (h, w))]
-    return tuple(crop(inpt, *corner, h, w) for corner in corners)
+    return tuple(_crop(inpt, *corner, h, w) for corner in corners)
 
 
 @functional()
@@ -327,7 +323,7 @@ def resize(
 
 
 def _resized_crop_mask(mask: Tensor, top: int, left: int, height: int, width: int, size: Any, **_: Any) -> Tensor:
-    return _resize_mask(crop(mask, top, left, height, width), size)
+    return _resize_mask(_crop(mask, top, left, height, width), size)
 
 
 def _resized_crop_pil(image: Any, top: int, left: int, height: int, width: int, *args: Any, **options: Any) -> Any:
@@ -339,7 +335,7 @@ def _resized_crop_each(x: Tensor, rows: list[dict[str, Any]]) -> Any:
     computes = x.is_floating_point() or x.dtype == torch.uint8
     if "nearest" in mode or not (rows[0]["antialias"] and computes and _are_inside(x, rows)):
         return NotImplemented
-    height, width = _two("resized_crop", "size", rows[0]["size"])
+    height, width = one_or_two("resized_crop", "size", rows[0]["size"])
     matrices = []
     for row in rows:
         sx, sy = width / row["width"], height / row["height"]
@@ -383,12 +379,14 @@ def resized_crop(
         >>> F.resized_crop(torch.ones(3, 8, 6), 1, 2, 4, 3, [2, 5]).shape
         torch.Size([3, 2, 5])
     """
-    return resize(crop(inpt, top, left, height, width), size, interpolation, antialias=antialias)
+    return resize(_crop(inpt, top, left, height, width), size, interpolation, antialias=antialias)
 
 
 def four_paddings(padding: int | Sequence[int]) -> list[int]:
     """Left, right, top and bottom of a padding of one, two (x and y) or four (left, top, right, bottom) numbers."""
-    p = [padding] if isinstance(padding, int) else list(padding)
+    if isinstance(padding, int):
+        return [padding] * 4
+    p = list(padding)
     if len(p) not in (1, 2, 4) or not all(isinstance(n, int) for n in p):
         raise ValueError(f"pad: expected padding to be an int or 1, 2 or 4 of them, got {padding!r}")
     left, top, right, bottom = p * (4 // len(p))
@@ -449,7 +447,7 @@ def pad(inpt: Tensor, padding: int | Sequence[int], fill: Fill = None, padding_m
     height, width = inpt.shape[-2:]
     colors = torch.tensor(fill, device=inpt.device).to(inpt.dtype).reshape(-1, 1, 1)
     output = colors.expand(*inpt.shape[:-2], height + top + bottom, width + left + right).contiguous()
-    crop(output, top, left, height, width).copy_(inpt)
+    _crop(output, top, left, height, width).copy_(inpt)
     return output
 
 
@@ -488,16 +486,16 @@ def _filled(op: str, sample: Any, inpt: Tensor, size: tuple[int, int], interpola
     return output.reshape(*leading, *size)
 
 
-Matrix = list[list[Any]]  # of numbers, or of tensors (B,) with those of each image
+Matrix = list[list[Any]]  # of numbers, or of arrays (B,) with those of each image
 
 
 def _warp(op: str, inpt: Tensor, matrix: Matrix, size: tuple[int, int], interpolation: Any, fill: Fill) -> Tensor:
     """Sample at a matrix, of all or of each, times the pixels (x, y, 1) of the result; the center of the first is (0, 0)."""
     dtype = torch.float64 if inpt.dtype == torch.float64 else torch.float32
     entries = [v for row in matrix for v in row]
-    if any(isinstance(v, Tensor) for v in entries):
-        each = [torch.as_tensor(v, dtype=torch.float64, device="cpu").expand(len(inpt)) for v in entries]
-        to_source = on_device(torch.stack(each, 1).reshape(len(inpt), -1, 3).to(dtype), inpt.device)
+    if any(isinstance(v, np.ndarray) for v in entries):
+        each = np.stack([np.broadcast_to(v, len(inpt)) for v in entries], 1).reshape(len(inpt), -1, 3)
+        to_source = on_device(torch.from_numpy(each).to(dtype), inpt.device)
     else:
         to_source = torch.tensor([matrix], dtype=dtype, device=inpt.device)
 
@@ -508,23 +506,14 @@ def _warp(op: str, inpt: Tensor, matrix: Matrix, size: tuple[int, int], interpol
     return _filled(op, sample, inpt, size, interpolation, fill)
 
 
-def _cos(x: Any) -> Any:
-    return x.cos() if isinstance(x, Tensor) else math.cos(x)
-
-
-def _sin(x: Any) -> Any:
-    return _cos(x - math.pi / 2) if isinstance(x, Tensor) else math.sin(x)
-
-
 def _affine_matrix(center: Sequence[float], angle: Any, translate: Any, scale: Any, shear: Any) -> Matrix:
     """From pixels of the result to those of the image: rotation R, shears and scale around a center, then a translation.
 
     T(center) (scale R(angle) Sy Sx)^-1 T(-center - translate), angles in degrees, clockwise in the image.
     """
     rotation, x, y = (a * (math.pi / 180) for a in (angle, *shear))
-    tangent = _sin(x) / _cos(x)
-    a, c = _cos(rotation - y) / _cos(y), _sin(rotation - y) / _cos(y)
-    b, d = -(a * tangent + _sin(rotation)), _cos(rotation) - c * tangent
+    a, c = np.cos(rotation - y) / np.cos(y), np.sin(rotation - y) / np.cos(y)
+    b, d = -(a * np.tan(x) + np.sin(rotation)), np.cos(rotation) - c * np.tan(x)
     rows = [[d / scale, -b / scale], [-c / scale, a / scale]]  # the determinant of [a b; c d] is 1
     shifted = [center[0] + translate[0], center[1] + translate[1]]
     return [[*row, center[i] - row[0] * shifted[0] - row[1] * shifted[1]] for i, row in enumerate(rows)]
@@ -547,12 +536,12 @@ def _warp_each(op: str, matrix_of: Callable[..., Matrix], *names: str) -> Callab
             return NotImplemented
         columns: dict[str, Any] = {}
         for name in names:
-            column = torch.tensor([row[name] for row in rows], dtype=torch.float64, device="cpu")
-            columns[name] = column.unbind(1) if column.dim() == 2 else column
+            column = np.array([row[name] for row in rows], dtype=np.float64)
+            columns[name] = tuple(column.T) if column.ndim == 2 else column
         height, width = size = x.shape[-2], x.shape[-1]
         if any(row.get("center") is not None for row in rows):
             centers = [row["center"] or (width * 0.5, height * 0.5) for row in rows]
-            columns["center"] = torch.tensor(centers, dtype=torch.float64, device="cpu").unbind(1)
+            columns["center"] = tuple(np.array(centers, dtype=np.float64).T)
         return _warp(op, x, matrix_of(size, **{**rows[0], **columns}), size, rows[0]["interpolation"], rows[0]["fill"])
 
     return each
@@ -563,9 +552,9 @@ def _from_center(center: Any, height: int, width: int) -> list[float]:
 
 
 def _matrix_of_affine(size: Any, angle: Any, translate: Any, scale: Any, shear: Any, center: Any, **_: Any) -> Matrix:
-    if (scale if isinstance(scale, (int, float)) else scale.amin()) <= 0:
+    if np.min(scale) <= 0:
         raise ValueError(f"affine: expected a scale above 0, got {scale}")
-    shear = [shear, 0.0] if isinstance(shear, (int, float, Tensor)) else list(shear) * (2 // len(shear))
+    shear = [shear, 0.0] if isinstance(shear, (int, float)) else list(shear) * (2 // len(shear))
     return _of_pixels(_affine_matrix(_from_center(center, *size), angle, translate, scale, shear), size, size)
 
 
@@ -615,7 +604,7 @@ def _expanded_size(matrix: Matrix, height: int, width: int) -> tuple[int, int]:
     corners = torch.tensor(
         [[x * width / 2, y * height / 2, 1.0] for x, y in ((-1, -1), (-1, 1), (1, 1), (1, -1))], device="cpu"
     )
-    low, high = (corners @ torch.tensor(matrix, device="cpu").T).aminmax(dim=0)
+    low, high = (corners @ torch.tensor(matrix, dtype=corners.dtype, device="cpu").T).aminmax(dim=0)
     half, tolerance = torch.tensor([width / 2, height / 2], device="cpu"), 1e-4
     low, high = ((x + half).mul_(1 / tolerance).trunc_().mul_(tolerance) for x in (low, high))
     w, h = high.ceil_().sub_(low.floor_()).tolist()
@@ -692,7 +681,7 @@ def _coefficients(startpoints: Any, endpoints: Any, coefficients: Any) -> Sequen
     matrix = torch.stack(rows, -2).flatten(-3, -2)
     points = starts.flatten(-2)[..., None]
     solution = torch.linalg.lstsq(matrix, points, driver="gels").solution[..., 0].float()
-    return solution.tolist() if solution.dim() == 1 else solution.double().unbind(-1)
+    return solution.tolist() if solution.dim() == 1 else [*solution.double().numpy().T]
 
 
 def _matrix_of_perspective(size: Any, startpoints: Any, endpoints: Any, coefficients: Any, **_: Any) -> Matrix:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -11,15 +12,15 @@ from torch import Tensor
 from kvision._tv_tensors import kind_of
 from kvision.core.exceptions import TypeCheckError
 from kvision.tv.functional.dispatch import functional, on_device
-from kvision.tv.inputs import channels_of, height_and_width, pil_to_tensor, to_pil_image, tv_tensor
+from kvision.tv.inputs import channels_of, height_and_width, pil_to_tensor, to_pil_image
 
 # A byte that is rounded after this shift is truncated: half a level below, but for rounding errors of integers.
-_HALF_A_LEVEL_DOWN = (-0.5 + 2.0**-10) / 255
+HALF_A_LEVEL_DOWN = (-0.5 + 2.0**-10) / 255
 
 
 def truncated(x: Tensor) -> float:
     """What to add to values in [0, 1] so that they are truncated where results are bytes."""
-    return _HALF_A_LEVEL_DOWN if x.dtype == torch.uint8 else 0.0
+    return HALF_A_LEVEL_DOWN if x.dtype == torch.uint8 else 0.0
 
 
 def largest(dtype: torch.dtype) -> float:
@@ -276,7 +277,11 @@ def to_image(inpt: Any) -> Tensor:
         inpt = torch.from_numpy(inpt[..., None] if inpt.ndim < 3 else inpt).permute(2, 0, 1).contiguous()
     elif not isinstance(inpt, Tensor):
         raise TypeCheckError(f"to_image: expected a tensor, an array or a PIL image, got {type(inpt).__name__}")
-    return tv_tensor("Image", inpt)
+    try:
+        from torchvision.tv_tensors import Image
+    except ImportError:
+        return inpt
+    return Image(inpt)
 
 
 def get_dimensions(inpt: Any) -> list[int]:
@@ -364,31 +369,117 @@ def is_pure_tensor(inpt: Any) -> bool:
     return kind_of(inpt) == "tensor"
 
 
-def _of_torchvision(name: str) -> Callable[..., Any]:
-    """torchvision's function of boxes or key points, whose classes are its own."""
+def _of_torchvision(function: Callable[..., Any]) -> Callable[..., Any]:
+    """torchvision's function of this name, of boxes or key points, whose classes are its own."""
 
+    @functools.wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:
         from torchvision.transforms.v2 import functional as v2
 
-        return getattr(v2, name)(*args, **kwargs)
+        return getattr(v2, function.__name__)(*args, **kwargs)
 
-    call.__name__ = call.__qualname__ = name
-    call.__doc__ = f"""torchvision's `{name}`.
-
-    Returns:
-        What torchvision's function returns.
-
-    Example:
-        >>> import kvision.tv.functional as F
-        >>> F.{name}.__name__
-        '{name}'
-    """
     return call
 
 
-clamp_bounding_boxes = _of_torchvision("clamp_bounding_boxes")
-clamp_keypoints = _of_torchvision("clamp_keypoints")
-convert_bounding_box_format = _of_torchvision("convert_bounding_box_format")
-sanitize_bounding_boxes = _of_torchvision("sanitize_bounding_boxes")
-sanitize_keypoints = _of_torchvision("sanitize_keypoints")
+@_of_torchvision
+def clamp_bounding_boxes(inpt: Any, format: Any = None, canvas_size: Any = None, clamping_mode: Any = "auto") -> Any:
+    """Cut boxes off at the borders of their canvas, by torchvision's function.
+
+    Args:
+        inpt: tv_tensors.BoundingBoxes, or a tensor with a format and a canvas.
+        format: such as "XYXY", of tensors.
+        canvas_size: height and width, of tensors.
+        clamping_mode: "soft", "hard" or None for rotated boxes, "auto" for their own.
+
+    Returns:
+        What is given.
+
+    Example:
+        >>> import kvision.tv.functional as F
+        >>> F.clamp_bounding_boxes.__name__
+        'clamp_bounding_boxes'
+    """
+
+
+@_of_torchvision
+def clamp_keypoints(inpt: Any, canvas_size: Any = None) -> Any:
+    """Move key points to the nearest pixel of the canvas, by torchvision's function.
+
+    Args:
+        inpt: tv_tensors.KeyPoints, or a tensor with a canvas.
+        canvas_size: height and width, of tensors.
+
+    Returns:
+        What is given.
+
+    Example:
+        >>> import kvision.tv.functional as F
+        >>> F.clamp_keypoints.__name__
+        'clamp_keypoints'
+    """
+
+
+@_of_torchvision
+def convert_bounding_box_format(
+    inpt: Any, old_format: Any = None, new_format: Any = None, inplace: bool = False
+) -> Any:
+    """Convert boxes to another format, by torchvision's function.
+
+    Args:
+        inpt: tv_tensors.BoundingBoxes, or a tensor with a format.
+        old_format: such as "XYXY", of tensors.
+        new_format: such as "CXCYWH".
+        inplace: write into the boxes.
+
+    Returns:
+        What is given.
+
+    Example:
+        >>> import kvision.tv.functional as F
+        >>> F.convert_bounding_box_format.__name__
+        'convert_bounding_box_format'
+    """
+
+
+@_of_torchvision
+def sanitize_bounding_boxes(  # type: ignore[empty-body]
+    bounding_boxes: Any, format: Any = None, canvas_size: Any = None, min_size: float = 1.0, min_area: float = 1.0
+) -> tuple[Any, Tensor]:
+    """Remove boxes that are small or leave their canvas, by torchvision's function.
+
+    Args:
+        bounding_boxes: tv_tensors.BoundingBoxes, or a tensor with a format and a canvas.
+        format: such as "XYXY", of tensors.
+        canvas_size: height and width, of tensors.
+        min_size: least width and height.
+        min_area: least area.
+
+    Returns:
+        The boxes that are valid, and which they are.
+
+    Example:
+        >>> import kvision.tv.functional as F
+        >>> F.sanitize_bounding_boxes.__name__
+        'sanitize_bounding_boxes'
+    """
+
+
+@_of_torchvision
+def sanitize_keypoints(key_points: Any, canvas_size: Any = None) -> tuple[Any, Tensor]:  # type: ignore[empty-body]
+    """Remove key points, or groups of them, that leave their canvas, by torchvision's function.
+
+    Args:
+        key_points: tv_tensors.KeyPoints, or a tensor with a canvas.
+        canvas_size: height and width, of tensors.
+
+    Returns:
+        The key points that are valid, and which they are.
+
+    Example:
+        >>> import kvision.tv.functional as F
+        >>> F.sanitize_keypoints.__name__
+        'sanitize_keypoints'
+    """
+
+
 get_image_num_channels = get_num_channels

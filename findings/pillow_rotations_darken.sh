@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Pillow 13.0.0: rotate and transform of bytes with BILINEAR or BICUBIC darken the image by half a level each time.
-# Believed: interpolated values are rounded to the nearest level, as Pillow's own resize rounds them, and OpenCV's and torch's warps. Seen: fractions are cut
-# off, so that noise turned by 10 degrees is .51 levels (BICUBIC .48) below the same image in mode "F", never above; so are AFFINE,
+# Believed: interpolated values are rounded to the nearest level, as Pillow's own resize rounds them. Seen: fractions
+# are cut off, so that noise turned by 10 degrees is .51 levels (BICUBIC .48) below the same image in mode "F", never above; so are AFFINE,
 # PERSPECTIVE and RGB images. Twenty turns to and fro lose 9.8 levels. Image.blend cuts, too, and with it ImageEnhance.Brightness: .45.
 # Turn once rather than step by step, or in mode "F".
 set -euo pipefail

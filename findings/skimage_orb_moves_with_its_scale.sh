@@ -3,7 +3,7 @@
 # Believed: keypoints are coordinates in the image that was given, whatever the level they were found in. Seen: the corners of a square around (80, 80)
 # of 161 x 161 have their mean at (80, 80) in the first level, (80.4, 80.4) in the second and (82.4, 82.4) in the last of eight. Positions
 # are multiplied by the level's nominal scale, but levels are shrunk from edge to edge, which leaves half a pixel of each scale, and to
-# sizes rounded up, so that the rest grows with the distance from the upper left corner. OpenCV's ORB stays within .5 here. Where a level's shape is
+# sizes rounded up, so that the rest grows with the distance from the upper left corner. OpenCV's ORB stays within .6 here. Where a level's shape is
 # known, (p + .5) * size / size_of_level - .5 is right.
 set -euo pipefail
 folder=$(mktemp -d)
@@ -31,7 +31,8 @@ for level in range(8):
     better = (points / 1.2**level + 0.5) * 161 / size - 0.5
     seen.append(mean[0])
     mended.append(better.mean())
-    print(f"level {level}, {size} pixels wide: {len(points)} corners, their mean {mean.round(2)}, by the size of the level {better.mean(0).round(2)}")
+    print(f"level {level}, {size} pixels wide: {len(points)} corners, their mean {mean.round(2)}", end=", ")
+    print(f"by the size of the level {better.mean(0).round(2)}")
     assert len(points) == 4 and abs(mean[0] - mean[1]) < 1e-6
     size = math.ceil(size / 1.2)
 assert np.allclose(seen, [80, 80.4, 80.64, 81.22, 81.91, 82.11, 82.11, 82.41], atol=0.02)

@@ -26,6 +26,9 @@ def test_right_arguments() -> None:
     assert_type(K.geometry.warp_affine(image, torch.eye(3)[None, :2], (4, 4), padding_mode="border"), Tensor)
     assert_type(K.losses.ssim_loss(image, image, 3, reduction="sum"), Tensor)
 
+    assert_type(K.tv.RandomAffine(10, scale=(0.8, 1.2)), K.tv.RandomAffine)  # by its fields
+    assert_type(K.tv.functional.crop(image, 0, 0, height=4, width=4), Tensor)
+
     affine = K.augmentation.RandomAffine((-10.0, 10.0), scale=(0.8, 1.2), resample="nearest", padding_mode="FILL")
     assert_type(affine, K.augmentation.RandomAffine)
     jitter = K.augmentation.ColorJitter(0.1, [0.9, 1.1], torch.tensor([0.9, 1.1]), hue=0.1)
@@ -49,6 +52,10 @@ def test_wrong_arguments_are_found_before_they_run() -> None:
         K.augmentation.RandomRotation(9.0, resample="cubic")  # type: ignore[arg-type]  # pyright: ignore[reportArgumentType]
     with pytest.raises(TypeError):
         K.augmentation.RandomGamma(gamma="dark")  # type: ignore[arg-type]  # pyright: ignore[reportArgumentType]
+    with pytest.raises(TypeError):
+        K.tv.ColorJitter(brightnes=0.1)  # type: ignore[call-arg]  # pyright: ignore[reportCallIssue]
+    with pytest.raises(TypeError):
+        K.tv.functional.crop(image, 0, 0, 4)  # type: ignore[call-arg]  # pyright: ignore[reportCallIssue]
 
 
 def test_editors_complete_the_arguments_of_augmentations() -> None:

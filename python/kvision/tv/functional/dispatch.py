@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import inspect
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
@@ -15,6 +15,7 @@ from kvision._tv_tensors import TV_TENSORS, kind_of, plain, wrap
 from kvision.core.exceptions import TypeCheckError
 from kvision.tv.inputs import IMAGES, LABELS, pil_to_tensor, to_pil_image
 
+Function = TypeVar("Function", bound=Callable[..., Any])  # whose arguments editors show
 _registered: dict[str, dict[type, Callable[..., Any]]] = {}
 
 
@@ -25,7 +26,7 @@ def functional(
     mask: Callable[..., Any] | str | None = None,
     each: Callable[[Any, list[dict[str, Any]]], Any] | None = None,
     steps: Callable[..., Sequence[Any]] | None = None,
-) -> Callable[[Callable[..., Any]], Any]:
+) -> Callable[[Function], Function]:
     """Make a public function of a kernel, which takes a tensor (*, C, H, W) and v2's arguments.
 
     `moves` says that masks, boxes and key points follow; `mask` is the kernel of masks where it is another, or "nearest" for that
@@ -35,7 +36,7 @@ def functional(
     Boxes and key points are torchvision's: their classes exist only where it is loaded, and its functions are public.
     """
 
-    def decorate(kernel: Callable[..., Any]) -> Any:
+    def decorate(kernel: Function) -> Function:
         name = kernel.__name__
         parameters = tuple(inspect.signature(kernel).parameters.values())[1:]
         names = tuple(p.name for p in parameters)
@@ -69,7 +70,7 @@ def functional(
         call.kinds = IMAGES | {"mask"} | LABELS if moves else IMAGES  # type: ignore[attr-defined]
         call.steps = steps  # type: ignore[attr-defined]
         call.of_each = functools.partial(_of_each, call, each, mask, parameters)  # type: ignore[attr-defined]
-        return call
+        return call  # type: ignore[return-value]  # takes what the kernel takes
 
     return decorate
 

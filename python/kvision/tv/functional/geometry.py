@@ -5,6 +5,7 @@ Values are those of v2's path of tensors. Its matrices and displacements map pix
 
 from __future__ import annotations
 
+import inspect
 import math
 from collections.abc import Callable, Sequence
 from enum import Enum
@@ -147,7 +148,7 @@ def crop(inpt: Tensor, top: int, left: int, height: int, width: int) -> Tensor:
     return F.pad(inside, [before[0], after[0], before[1], after[1]])
 
 
-_crop = crop.__wrapped__  # of tensors
+_crop = inspect.unwrap(crop)  # of tensors
 
 
 def _center(height: int, width: int, size: tuple[int, int]) -> tuple[int, int]:

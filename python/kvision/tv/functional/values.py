@@ -11,7 +11,7 @@ from torch import Tensor
 
 from kvision._tv_tensors import kind_of
 from kvision.core.exceptions import TypeCheckError
-from kvision.tv.functional.dispatch import functional, on_device
+from kvision.tv.functional.dispatch import Function, functional, on_device
 from kvision.tv.inputs import channels_of, height_and_width, pil_to_tensor, to_pil_image
 
 # A byte that is rounded after this shift is truncated: half a level below, but for rounding errors of integers.
@@ -369,7 +369,7 @@ def is_pure_tensor(inpt: Any) -> bool:
     return kind_of(inpt) == "tensor"
 
 
-def _of_torchvision(function: Callable[..., Any]) -> Callable[..., Any]:
+def _of_torchvision(function: Function) -> Function:
     """torchvision's function of this name, of boxes or key points, whose classes are its own."""
 
     @functools.wraps(function)
@@ -378,7 +378,7 @@ def _of_torchvision(function: Callable[..., Any]) -> Callable[..., Any]:
 
         return getattr(v2, function.__name__)(*args, **kwargs)
 
-    return call
+    return call  # type: ignore[return-value]  # takes what torchvision's takes
 
 
 @_of_torchvision

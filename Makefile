@@ -26,7 +26,7 @@ demo: build
 	$(BIN)/python -m kvision.demo $(ARGS)
 
 test: build $(DEV)
-	@[ -n "$(TESTS)" ] || echo "kvision: all tests take about five minutes on two cores; TESTS=tests/filters chooses some"
+	@[ -n "$(TESTS)" ] || echo "kvision: all tests take minutes; TESTS=tests/filters chooses some"
 	$(BIN)/python -m pytest --quiet --numprocesses auto --maxprocesses 8 --dist worksteal --sizes few -m "not (slow or tracing or derivatives or interchange)" $(TESTS) $(ARGS)
 
 bench: build $(DEV)

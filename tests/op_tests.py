@@ -34,7 +34,7 @@ from kvision import _backend, _ops
 
 # All cases of tests that take a part of them in CI, and more of random ones.
 THOROUGH = os.environ.get("HYPOTHESIS_PROFILE") == "thorough"
-# Of random ones few: the profile of CI has ten times as many of them.
+# Of random ones few, on the CPU: the profile of CI has ten times as many of them there.
 QUICK = os.environ.get("HYPOTHESIS_PROFILE", "quick") == "quick"
 
 # The one table of tolerances: (relative, absolute) by the type results are stored in.
@@ -762,7 +762,7 @@ class OpTests:
         sizes = st.tuples(st.integers(0, 3), channels, *[st.integers(1, 40)] * (len(self.shape) - 2))
         dtypes = st.sampled_from(_ops.FLOATS + ((torch.uint8,) if self.bytes else ()))
 
-        @settings(max_examples=10 if QUICK else settings.default.max_examples)
+        @settings(max_examples=10 if QUICK and device.type == "cpu" else settings.default.max_examples)
         @given(shape=sizes, layout=strides, dtype=dtypes, variant=self.fuzz_arguments(), seed=st.integers(0, 2**31))
         def run(shape, layout, dtype, variant, seed):
             torch.manual_seed(seed)

@@ -1,5 +1,6 @@
 // The range of planes on the CPU. Compiled once per instruction set.
 #include "core/lanes.h"
+#include "core/product.h"
 #include "min_max.h"
 
 namespace kv::enhance::KV_ISA {
@@ -107,7 +108,9 @@ void min_max_backward(MinMaxBackward<T> const& p, int64_t begin, int64_t end) {
       constexpr int M = decltype(width)::value;
       auto const v = load<M>(x + i);
       auto const zero = broadcast<M>(F(0));
-      store<M>(grad_x + i, load<M>(g + i) * factor + (v == smallest ? broadcast<M>(grad_smallest) : zero) +
+      // Rounded, as the gradient of the range is that cancels it in a plane of one pixel.
+      auto const own = kv::product(load<M>(g + i), broadcast<M>(factor));
+      store<M>(grad_x + i, own + (v == smallest ? broadcast<M>(grad_smallest) : zero) +
                                (v == largest ? broadcast<M>(grad_largest) : zero));
     });
   }

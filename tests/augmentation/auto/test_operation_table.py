@@ -7,7 +7,7 @@ from torch import Tensor
 from drawn_tests import UNSERVED, call_unserved, has_kernels, random_images, record_kernel
 from kvision.augmentation.auto import AugMix, AutoAugment, RandAugment, TrivialAugment, operation_table, policy_base
 from kvision.augmentation.auto.operation_table import OPERATIONS, execute_steps
-from op_tests import DispatchedOperators, OpTests, assert_close
+from op_tests import DispatchedOperators, OpTests, assert_close, pairwise
 
 # A value of each operation that has one.
 VALUES = {
@@ -174,10 +174,13 @@ def test_flat_channels_stay_as_they_are(name, dtype, device):
     assert torch.equal(y[0], x[0]) and not torch.equal(y[1], x[1])
 
 
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float16, torch.bfloat16], ids=str)
-@pytest.mark.parametrize("layout", [*LAYOUTS, "of a sum"])
-@pytest.mark.parametrize("size", SIZES)
-def test_gradients_are_those_of_separate_operators(size, layout, dtype, device):
+@pytest.mark.native  # the reference is the separate operators
+@pytest.mark.parametrize(
+    ("layout", "size", "dtype"),
+    pairwise([*LAYOUTS, "of a sum"], list(SIZES), [torch.float32, torch.float16, torch.bfloat16]),
+    ids=str,
+)
+def test_gradients_are_those_of_separate_operators(layout, size, dtype, device):
     operation, value = (t[:, 0] for t in each_operation(device))
     x = random_images((len(operation), 3, *SIZES[size]), device, dtype)
     x = LAYOUTS.get(layout, LAYOUTS["contiguous"])(x).detach().requires_grad_()

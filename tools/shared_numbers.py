@@ -68,6 +68,8 @@ CONSTANTS = (
     ("MAX_SSIM_WEIGHTS", "kMaxSsimWeights", "metrics/ssim.h"),
     ("RANSAC_CHUNK", "kChunk", "geometry/ransac.h"),
     ("RANSAC_DEVIATIONS", "kDeviations", "geometry/ransac.h"),
+    ("LINE_WIDTH", "kLineWidth", "geometry/residuals.h"),
+    ("LINE_WIDTH_64", "kLineWidth64", "geometry/residuals.h"),
     ("RED_POSITIONS", "kRedPositions", "color/raw_op.cpp"),
     ("CORNER_REACH", "kWindowReach", "feature/responses.h"),
     ("FINE_REACH", "kFineReach", "feature/responses.h"),

@@ -7,6 +7,10 @@
 
 namespace kv::geometry {
 
+// The width of points that count as on one line, in units of the size of their coordinates: of float32, which rounds
+// them, and of float64, whose moments are sums.
+constexpr double kLineWidth = 1.2e-7, kLineWidth64 = 3e-8;
+
 // H (x, y, 1).
 template <class V, class F>
 struct Mapped {

@@ -49,7 +49,7 @@ Tensor sums_of_products(char const* op, Tensor const& left, Tensor const& right,
   }
   Tensor const result = empty({params.batch, params.groups, params.rows, params.columns}, left);
   params.result = data_ptr<T>(result);
-  if (params.rows * params.columns > 0)
+  if (params.groups * params.rows * params.columns > 0)
     KV_RUN(group_products, result, params, params.batch * params.groups,
            params.pairs * params.inner * params.rows * params.columns / params.groups);
   return result;

@@ -7,6 +7,7 @@ import math
 import torch
 from torch import Tensor
 
+from kvision._limits import LINE_WIDTH, LINE_WIDTH_64
 from kvision.geometry._precision import length
 from kvision.geometry.solvers.correspondences import normalized_weights
 
@@ -22,6 +23,19 @@ def normalized(points: Tensor, weights: Tensor | None, eps: float = 1e-8) -> tup
     last = torch.zeros_like(T[:, :1])
     last[..., -1] = 1
     return scale * centered, torch.cat([T, last], 1)
+
+
+def is_on_line(points: Tensor, used: Tensor) -> Tensor:
+    """Whether the points (B, N, D) that are used, bool (B, N), are on one line but for rounding, bool (B,)."""
+    width = LINE_WIDTH_64 if points.dtype == torch.float64 else LINE_WIDTH
+    points = torch.where(used[..., None], points.detach().double(), 0)
+    count = used.sum(1).clamp(min=1)[:, None, None]
+    mean = points.sum(1)[..., None] / count
+    squares = points.mT @ points / count
+    spread = squares - mean @ mean.mT
+    size, total = (M.diagonal(dim1=1, dim2=2).sum(-1) for M in (squares, spread))
+    area = (total.square() - spread.square().sum((1, 2))) / 2  # the product of both largest variances
+    return ~(area > total * width**2 * size)
 
 
 def to_unit_last(M: Tensor, eps: float = 1e-12) -> Tensor:

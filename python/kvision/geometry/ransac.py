@@ -22,7 +22,7 @@ from kvision._limits import RANSAC_CHUNK, RANSAC_DEVIATIONS
 from kvision._modes import MODEL, MODEL_NAMES
 from kvision._ops import register
 from kvision.core.exceptions import ShapeError, ValueCheckError
-from kvision.geometry._normalization import to_unit_last
+from kvision.geometry._normalization import is_on_line, to_unit_last
 from kvision.geometry._precision import in_full_precision
 from kvision.geometry.epipolar.essential import nearest_essential
 from kvision.geometry.epipolar.projection import cross_product_matrix
@@ -133,8 +133,8 @@ def _select_inliers_reference(
     points1: Tensor, points2: Tensor, weights: Tensor | None, thresholds: Tensor, models: Tensor, number: int
 ) -> tuple[Tensor, Tensor]:
     """Models (B, 3, 3) in the type of points (B, N, 2 or 4), scaled, and their inliers, bool (B, N), among correspondences of
-    positive weights (B, N). Inliers of a sample alone say nothing for its model, but where there are no more correspondences:
-    then both are zeros."""
+    positive weights (B, N). Inliers of a sample alone say nothing for its model, but where there are no more correspondences,
+    nor do points on one line for a map: then both are zeros."""
     model = MODEL_NAMES[number]
     x, y = points1.double(), points2.double()
     if model == "lines":
@@ -142,8 +142,10 @@ def _select_inliers_reference(
     errors = squared_errors(models.double()[:, None], x, y, model)[:, 0]
     exists = torch.ones_like(errors, dtype=torch.bool) if weights is None else weights > 0
     inliers = exists & (errors <= thresholds.double().square()[:, None])
-    least = (exists.sum(1, keepdim=True) - 1).clamp(max=SIZES[model][0])
+    least = (exists.sum(1, keepdim=True) - 1).clamp(0, SIZES[model][0])
     has_consensus = inliers.sum(1, keepdim=True) > least
+    if model in ("affine", "homography"):
+        has_consensus &= ~is_on_line(points1, inliers)[:, None]
     scaled = torch.where(has_consensus[..., None], _scaled(models, model), 0)
     return scaled.to(points1.dtype), inliers & has_consensus
 
@@ -327,7 +329,9 @@ class RANSAC(nn.Module):
 
         Returns:
             The model (3, 3) or (B, 3, 3) and its inliers, bool (N,) or (B, N). Zeros and no inliers where no model has more inliers
-            than a sample has points, or as many if there are no more. Gradients to points and weights are those of the linear
+            than a sample has points, or as many if there are no more, and for "affine" and "homography" where all are on one line.
+            Where the camera only turns, or the scene is a plane, many fundamental matrices have the same inliers, and where it
+            only turns many essential ones: then one of them is returned. Gradients to points and weights are those of the linear
             least squares of all correspondences near the model, with the weights that sigma-consensus++ gives them.
 
         Raises:

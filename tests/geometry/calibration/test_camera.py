@@ -146,6 +146,10 @@ def test_missing_points_and_views(device: torch.device) -> None:
     torch.testing.assert_close(single.camera_matrix.double(), fit.camera_matrix[:2], rtol=2e-3, atol=0)
     few = K.geometry.calibrate_camera(X[:, :, :3], x[:, :, :3], SIZE)
     assert few.camera_matrix.shape == (3, 3, 3) and not few.converged.any()
+    none = K.geometry.calibrate_camera(X[:0], x[:0], SIZE)
+    assert none.camera_matrix.shape == (0, 3, 3) and none.pose.t.shape == (0, 6, 3)
+    unseen = K.geometry.calibrate_camera(X[:, :0], x[:, :0], SIZE)
+    assert unseen.camera_matrix[:, 0, 0].isnan().all() and not unseen.converged.any()
 
 
 def test_errors() -> None:

@@ -161,6 +161,30 @@ def test_robust_alignment_is_that_of_the_inliers(name: str, device: torch.device
     torch.testing.assert_close(found.matrix(), pose.matrix(), rtol=1e-6, atol=1e-6)
     _, valid, inliers = getattr(K.geometry, name)(x.expand(1, -1, -1, -1)[0] * 0, y, seed=0)
     assert not valid.any() and not inliers.any()
+    _, valid, inliers = getattr(K.geometry, name)(x[:0], y[:0], seed=0)
+    assert valid.shape == (0,) and inliers.shape == (0, 40)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, F64], ids=str)
+@pytest.mark.parametrize("offset", [0.0, 20.0])
+def test_points_on_one_line_have_no_pose(dtype: torch.dtype, offset: float, device: torch.device) -> None:
+    """The camera may turn about the line. In float32 rounding moves points off it; points in a narrow strip have their pose."""
+    along = torch.tensor([1.0, 0.5, 0.3], dtype=F64) * torch.linspace(-1, 1, 30, dtype=F64)[:, None]
+    strip = along + 0.05 * torch.tensor([0.0, 1.0, -1.0]) * (torch.arange(30) % 3)[:, None]
+    points = torch.stack([along, strip]) + offset
+    pose = Se3.exp(torch.tensor([[0.1, -0.2, 5, 0.2, 0.3, -0.1]], dtype=F64)).requires_grad_(False)
+    h = (pose[:, None] * (points - offset)) @ CAMERA.mT
+    problem = (
+        points.to(device, dtype),
+        (h[..., :2] / h[..., 2:]).to(device, dtype),
+        CAMERA.expand(2, 3, 3).to(device, dtype),
+    )
+    for found, valid, *inliers in (K.geometry.solve_pnp(*problem), K.geometry.solve_pnp_ransac(*problem, seed=0)):
+        assert valid.tolist() == [False, True] and found.t[0].isnan().all()
+        assert degrees(found.r.matrix().detach().cpu().double()[1:], pose.r.matrix()).max() < 1
+        assert all(i.sum(1).tolist() == [0, 30] for i in inliers)
+    none = [p[:0] for p in problem]
+    assert K.geometry.solve_pnp(*none)[1].shape == K.geometry.solve_pnp_ransac(*none)[1].shape == (0,)
 
 
 X, x, C = torch.rand(1, 4, 3), torch.rand(1, 4, 2), torch.eye(3)[None]

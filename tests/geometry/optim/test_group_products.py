@@ -31,6 +31,17 @@ class TestGroupProducts(PointOpTests):
     }
 
 
+def test_no_groups_and_no_rows(device: torch.device) -> None:
+    nothing = torch.zeros(0, dtype=torch.int64, device=device)
+    assert Groups(nothing, 0)(torch.ones(2, 0, 3, device=device)).shape == (2, 0, 3)
+    assert torch.equal(Groups(nothing, 2)(torch.ones(2, 0, 3, device=device)).cpu(), torch.zeros(2, 2, 3))
+    assert Groups(torch.zeros(4, dtype=torch.int64, device=device), 1)(torch.ones(0, 4, 3, device=device)).shape == (
+        0,
+        1,
+        3,
+    )
+
+
 def test_groups_and_pairs(device: torch.device) -> None:
     """Against sums of all rows and of all pairs of rows, in loops."""
     generator = torch.Generator().manual_seed(0)

@@ -124,7 +124,9 @@ def calibrate_camera(
     """Estimate intrinsics, lens distortion and poses from views of a planar target, for a batch of cameras.
 
     The start is Zhang's, with the principal point at the center of the image; :func:`optim.least_squares` refines it. Gradients
-    reach the points and the weights by the implicit function theorem.
+    reach the points and the weights by the implicit function theorem. Views that are parallel to the image, or a single one, do not
+    tell the focal lengths: `covariance` is then NaN or large. Points 90 degrees or more from the axis are not on the plane z = 1,
+    where lenses are defined: give them weight 0.
 
     Args:
         object_points: points of the target (B, V, N, 3) with z = 0, in any unit, floating point.

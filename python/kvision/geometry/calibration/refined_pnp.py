@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from kvision.geometry._normalization import is_on_line
 from kvision.geometry.calibration.camera import poses_of_homographies, poses_where
 from kvision.geometry.calibration.p3p import poses_of_triangles
 from kvision.geometry.calibration.pnp import _before_camera, check_correspondences, solve_pnp_dlt
@@ -44,7 +45,8 @@ def solve_pnp(
         max_iterations: of the refinement.
 
     Returns:
-        The poses from world to camera (B,), and a mask (B,) of those that were found; others are NaN.
+        The poses from world to camera (B,), and a mask (B,) of those that were found; others are NaN, as are those of points on
+        one line.
 
     Raises:
         TypeError: points, intrinsics or weights are not floating-point tensors.
@@ -86,7 +88,7 @@ def solve_pnp(
         is_before = ((poses[:, None] * X.repeat(every, 1, 1))[..., 2] > 0) | (used == 0).repeat(every, 1)
         costs = torch.where(is_before.all(-1) & ~fit.cost.isnan(), fit.cost, torch.inf).unflatten(0, (every, batch))
         best = costs.argmin(0)
-        is_valid = (costs.amin(0) < torch.inf) & (used.sum(-1) >= 4)
+        is_valid = (costs.amin(0) < torch.inf) & (used.sum(-1) >= 4) & ~is_on_line(X, used > 0)
         start = poses.matrix().unflatten(0, (every, batch))[best, torch.arange(batch, device=best.device)]
     pose = least_squares(error, {"pose": _as_se3(start)}, max_iterations=1, **options).variables["pose"]  # type: ignore[arg-type]
     return poses_where(is_valid, pose), is_valid
@@ -131,7 +133,9 @@ def _start_of_triangles(X: Tensor, x: Tensor, used: Tensor) -> Tensor:
     triangles, seen = (
         p.gather(1, chosen[..., None].expand(-1, -1, 3)).unflatten(1, (-1, 3)).flatten(0, 1).double() for p in (X, rays)
     )
-    poses = poses_of_triangles(triangles, seen).unflatten(0, (len(X), -1)).flatten(1, 2).to(X.dtype)  # (B, 4 n, 3, 4)
+    poses = (
+        poses_of_triangles(triangles, seen).unflatten(0, (len(X), _TRIANGLES)).flatten(1, 2).to(X.dtype)
+    )  # (B, 4 n, 3, 4)
     p = X[:, None] @ poses[..., :3].mT + poses[..., None, :, 3]
     error = ((p[..., :2] - p[..., 2:] * x[:, None]).square().sum(-1) / p[..., 2].square() * used[:, None]).sum(-1)
     error = torch.where((p[..., 2] > 0).all(-1) & error.isfinite(), error, torch.inf)

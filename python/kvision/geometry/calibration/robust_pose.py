@@ -11,6 +11,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._ops import register
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
+from kvision.geometry._normalization import is_on_line
 from kvision.geometry.calibration.alignment import check_pairs, kabsch, umeyama
 from kvision.geometry.calibration.camera import poses_where
 from kvision.geometry.calibration.p3p import poses_of_triangles
@@ -41,7 +42,8 @@ def solve_pnp_ransac(
 
     Each of `max_samples` hypotheses is the pose of three points that sees a fourth one best (:func:`solve_p3p`). The best one by
     the loss of MAGSAC++ is refined with the weights of sigma-consensus++. All problems are solved at once, and nothing waits for
-    the device. Gradients of the pose are those of the least weighted error.
+    the device. Gradients of the pose are those of the least weighted error. With 30, 50 and 70% wrong correspondences the errors of
+    rotations are .98 to 1.02 of those that OpenCV's USAC_MAGSAC has after solvePnPRefineLM (`python -m benchmarks.robust_fits`).
 
     Args:
         world_points: (B, N, 3), float32 or float64, at least four.
@@ -55,7 +57,7 @@ def solve_pnp_ransac(
 
     Returns:
         The poses from world to camera (B,), a mask (B,) of those that were found, which others are NaN, and the inliers, bool
-        (B, N), that are in front of the camera. A pose needs four inliers.
+        (B, N), that are in front of the camera. A pose needs four inliers that are not on one line.
 
     Raises:
         TypeError: points or intrinsics are not floating-point tensors; `mask` is not bool.
@@ -140,12 +142,13 @@ def _robust_poses_reference(
         return torch.cat([quaternion_to_rotation_matrix(pose[:, :4]), pose[:, 4:, None]], -1)[:, None]
 
     best, weights, inliers = _estimated(hypotheses, errors, fit, threshold, reach, rounds, mask)
+    inliers = inliers & ~is_on_line(points, inliers)[:, None]
     return torch.cat([rotation_matrix_to_quaternion(best[:, :, :3]), best[:, :, 3]], -1), weights, inliers
 
 
 # Poses (B, 7), quaternions and translations: of hypotheses (B, S, 3, 4) that with the highest score, fitted by sigma-consensus++ up
-# to `rounds` times; the weights (B, N) of the next fit; and the inliers, bool (B, N). The mask (B, N) tells which points (B, N, 3)
-# and pixels (B, N, 2) exist.
+# to `rounds` times; the weights (B, N) of the next fit; and the inliers, bool (B, N), none where all are on one line. The mask
+# (B, N) tells which points (B, N, 3) and pixels (B, N, 2) exist.
 _robust_poses = register(
     "robust_poses",
     _robust_poses_reference,
@@ -265,7 +268,7 @@ def _aligned_robustly(
 
     with torch.no_grad():
         x, y = (_at(p, draws).flatten(0, 1) for p in (points1, points2))
-        hypotheses = fitted(x, y, None).unflatten(0, (batch, -1))
+        hypotheses = fitted(x, y, None).unflatten(0, (batch, max_samples))
         fit = lambda _, weights: fitted(points1, points2, weights[:, 0])[:, None]  # noqa: E731
         _, weights, inliers = _estimated(hypotheses, errors, fit, threshold, _REACH * threshold, _ROUNDS, mask)
         inliers = inliers & (inliers.sum(1, keepdim=True) >= 3)

@@ -75,7 +75,7 @@ class Groups:
         """Sums of x (B, N, *)."""
         rows = x.flatten(2) if x.dim() > 2 else x[..., None]
         one = x.new_ones(1, 1, 1, 1).expand(*x.shape[:2], 1, 1)
-        return self.products(one, rows[:, :, None]).reshape(len(x), -1, *x.shape[2:])
+        return self.products(one, rows[:, :, None]).reshape(len(x), self.offsets.shape[1] - 1, *x.shape[2:])
 
 
 class Pairs:

@@ -11,6 +11,12 @@
 // is the least eigenvector of M - L, moved to the nearest matrix of rank 2 in the metric of M - L, an essential matrix
 // takes Newton's steps on its manifold. Points are normalized but for essential matrices.
 //
+// Fits that adapt, of fundamental matrices, estimate the noise together with the model, by expectation maximization:
+// the residuals of right correspondences are normal numbers of variance s, those of wrong ones equally frequent
+// everywhere. With A, how much more frequent right ones are where e is 0, the weight is the probability to be right:
+//
+//   w     g / (1 + g) for g = A exp(-e / (2 s)), within 2 reach
+//
 // A point that is not finite has weight 0. Fits from a model end when its score does not rise. Included by
 // two_view_fits_cpu.cpp, two_view_fits.cu and two_view_fits_op.cpp.
 #pragma once
@@ -29,7 +35,8 @@ struct TwoViewFits {
   T const *models, *points1, *points2, *weights, *reaches;  // (B, K, 9), (B, 2, N), (B, 2, N), (B, N) or null, (B)
   Model model;
   int64_t rounds, batch, num_models, count;  // ., B, K, N
-  T *fitted, *scores;                        // (B, K, 9), (B, K)
+  bool adapts;
+  T *fitted, *scores;  // (B, K, 9), (B, K)
 };
 
 KV_KERNEL(two_view_fits, TwoViewFits)
@@ -40,6 +47,8 @@ constexpr double kEnd = 11.345 / 2;  // x_end: 99% of the squared norms of three
 constexpr double kRest = 0.003439256378518648;  // exp(-x_end)
 constexpr double kTolerance = 1e-5;             // the relative increase of a score that a further fit is worth
 constexpr int kSteps = 3;                       // of Newton's method; each doubles the correct digits
+constexpr int kNoiseRounds = 2;                 // the first ones of fits that adapt estimate the noise alone
+constexpr double kFreedom = 7;                  // of a fundamental matrix
 constexpr double kTiny = 2.2250738585072014e-308;
 
 // The products of (x, y, 1) with itself, in the order of `product_index`.
@@ -75,7 +84,7 @@ struct Correspondence {
 
 struct Affine {
   static constexpr int kSums = 12;
-  static constexpr bool kIsNormalized = true, kIsEpipolar = false;
+  static constexpr bool kIsNormalized = true, kIsEpipolar = false, kAdapts = false;
 
   template <class V>
   static KV_HD void error(double const* m, Similarity const&, Similarity const& two, Correspondence<V> const& c, V& e,
@@ -94,7 +103,7 @@ struct Affine {
 
 struct Homography {
   static constexpr int kSums = 24;
-  static constexpr bool kIsNormalized = true, kIsEpipolar = false;
+  static constexpr bool kIsNormalized = true, kIsEpipolar = false, kAdapts = false;
 
   template <class V>
   static KV_HD void error(double const* m, Similarity const& one, Similarity const& two, Correspondence<V> const& c,
@@ -170,10 +179,10 @@ struct EpipolarForm {
   }
 };
 struct Fundamental : EpipolarForm {
-  static constexpr bool kIsNormalized = true;
+  static constexpr bool kIsNormalized = true, kAdapts = true;
 };
 struct Essential : EpipolarForm {
-  static constexpr bool kIsNormalized = false;
+  static constexpr bool kIsNormalized = false, kAdapts = false;
 };
 
 // What the threads of a problem share.
@@ -332,21 +341,25 @@ KV_HD double const* sums_of(typename Vector::V const (&lanes)[K], double (&sums)
   return group.sums(sums);
 }
 
+// Returns the mean weight of the correspondences that exist, and sets how many do.
 template <class Vector, class T, class Group>
-KV_HD void normalize(TwoViewFits<T> const& p, int64_t b, Group group, Similarity& one, Similarity& two) {
+KV_HD double normalize(TwoViewFits<T> const& p, int64_t b, Group group, Similarity& one, Similarity& two,
+                       double& existing) {
   using V = typename Vector::V;
   V const zero{};
-  V moments[5] = {}, distances[2] = {};
+  V moments[6] = {}, distances[2] = {};
   for_each_correspondence<Vector>(p, b, group, [&](Correspondence<V> const& c, V w) KV_INLINE {
     V const all = c.x + c.y + c.u + c.v;
     auto const exists = (w > 0) & (all - all == 0);
     moments[0] += exists ? V(zero + 1) : zero;
     moments[1] += exists ? c.x : zero, moments[2] += exists ? c.y : zero;
     moments[3] += exists ? c.u : zero, moments[4] += exists ? c.v : zero;
+    moments[5] += exists ? w : zero;
   });
-  double partial[5], rest[2];
+  double partial[6], rest[2];
   double const* const sums = sums_of<Vector>(moments, partial, group);
-  double const count = max(sums[0], 1.);
+  double const count = max(sums[0], 1.), weight = sums[5] / count;
+  existing = sums[0];
   one.x = sums[1] / count, one.y = sums[2] / count, two.x = sums[3] / count, two.y = sums[4] / count;
   for_each_correspondence<Vector>(p, b, group, [&](Correspondence<V> const& c, V w) KV_INLINE {
     V const x = c.x - one.x, y = c.y - one.y, u = c.u - two.x, v = c.v - two.y, all = x + y + u + v;
@@ -357,18 +370,41 @@ KV_HD void normalize(TwoViewFits<T> const& p, int64_t b, Group group, Similarity
   double const* const totals = sums_of<Vector>(distances, rest, group);
   one.scale = totals[0] > 0 ? 1.4142135623730951 * count / totals[0] : 1;
   two.scale = totals[1] > 0 ? 1.4142135623730951 * count / totals[1] : 1;
+  return weight;
 }
 
-// The score of the model, last, and the sums of its next fit.
+// How the squared error tells the weight of a correspondence.
+struct Noise {
+  double square, per_error;  // of the largest error that counts; x = per_error e
+  double odds = 0;           // A of fits that adapt
+};
+
+// The noise of fits that adapt, from estimates that the sums of a pass improve.
+struct MixedNoise {
+  double limit, existing, extent;  // the square of the reach, of all correspondences, of residuals of wrong ones
+  double variance = limit / (2 * kEnd), right = existing / 2;
+
+  KV_HD Noise noise() const {
+    double const wrong = (existing - right + 1) / extent;
+    return {4 * limit, 1 / (2 * variance), right / (wrong * sqrt(6.283185307179586 * variance))};
+  }
+  KV_HD void update(double count, double squares) {
+    right = count;
+    variance = min(max(squares / max(count - kFreedom, 1.), 1e-6 * limit), limit / 4);
+  }
+};
+
+// The sums of the next fit, and behind them the score of the model; of fits that adapt the sums of weights and of
+// weighted errors.
 template <class Kind, class Vector, class T, class Group>
 KV_HD double const* pass(TwoViewFits<T> const& p, int64_t b, double const* model, Similarity const& one,
-                         Similarity const& two, double (&sums)[Kind::kSums + 1], Group group) {
+                         Similarity const& two, Noise const& noise, double (&sums)[Kind::kSums + 2], Group group) {
   using V = typename Vector::V;
   constexpr double kLog2 = 1.4426950408889634;
-  double const square = p.reaches[b] * p.reaches[b], per_error = kEnd / square;
+  double const square = noise.square, per_error = noise.per_error, odds = noise.odds;
   double m[9];
   for (int i = 0; i < 9; ++i) m[i] = model[i];
-  V lanes[Kind::kSums + 1] = {};
+  V lanes[Kind::kSums + 2] = {};
   V const zero{};
   for_each_correspondence<Vector>(p, b, group, [&](Correspondence<V> c, V w) KV_INLINE {
     if constexpr (Kind::kIsNormalized)
@@ -379,10 +415,19 @@ KV_HD double const* pass(TwoViewFits<T> const& p, int64_t b, double const* model
     if (!any_lane(counts)) return;
     V const x = e * per_error, likelihood = Vector::exp2(x * -kLog2);
     w = counts ? w : zero;
-    lanes[Kind::kSums] += w * (counts ? V(likelihood + (x - (kEnd + 1)) * kRest) : zero);
-    V const s = w * (counts ? V((likelihood - kRest) / variance) : zero);
+    e = counts ? e : zero;
+    V s;
+    if (Kind::kAdapts && odds > 0) {
+      V const ratio = likelihood * odds;
+      s = w * (counts ? V(ratio / (ratio + 1)) : zero);
+      lanes[Kind::kSums] += s, lanes[Kind::kSums + 1] += s * e;
+    } else {
+      lanes[Kind::kSums] += w * (counts ? V(likelihood + (x - (kEnd + 1)) * kRest) : zero);
+      s = w * (counts ? V(likelihood - kRest) : zero);
+    }
+    s = s / (counts ? variance : V(zero + 1));
     c = {counts ? c.x : zero, counts ? c.y : zero, counts ? c.u : zero, counts ? c.v : zero};
-    Kind::add(one, two, c, s, V(s * (counts ? e : zero)), lanes);
+    Kind::add(one, two, c, s, V(s * e), lanes);
   });
   return sums_of<Vector>(lanes, sums, group);
 }
@@ -417,7 +462,8 @@ KV_HD void fit_from(TwoViewFits<T> const& p, int64_t item, Group group) {
     return;
   }
   Similarity one, two;
-  if constexpr (Kind::kIsNormalized) normalize<Vector>(p, b, group, one, two);
+  double existing = 0, mean_weight = 1;
+  if constexpr (Kind::kIsNormalized) mean_weight = normalize<Vector>(p, b, group, one, two, existing);
   if (group.thread_rank() == 0) {
     double model[9];
     for (int i = 0; i < 9; ++i) model[i] = start[i];
@@ -426,19 +472,30 @@ KV_HD void fit_from(TwoViewFits<T> const& p, int64_t item, Group group) {
   }
   group.sync();
   double best_score = 0;
+  double const limit = p.reaches[b] * p.reaches[b];
+  Noise noise{limit, kEnd / limit};
+  MixedNoise mixed{limit, existing, 1.4142135623730951 * (1 / one.scale + 1 / two.scale)};
+  if (Kind::kAdapts && p.adapts) noise = mixed.noise();
   auto const warp = group.first_warp();
   for (int64_t round = 0;; ++round) {
-    double partial[Kind::kSums + 1];
-    double const* const sums = pass<Kind, Vector>(p, b, work.model, one, two, partial, group);
-    double const score = sums[Kind::kSums];
-    bool const rises = score > best_score * (1 + kTolerance);
-    if (round == 0 || score > best_score) {
+    double partial[Kind::kSums + 2];
+    double const* const sums = pass<Kind, Vector>(p, b, work.model, one, two, noise, partial, group);
+    double score = sums[Kind::kSums];
+    bool rises = score > best_score * (1 + kTolerance), is_better = round == 0 || score > best_score, is_fitted = true;
+    if (Kind::kAdapts && p.adapts) {
+      score /= mean_weight;
+      rises = is_better = score > kFreedom;
+      is_fitted = round >= kNoiseRounds;
+      mixed.update(score, sums[Kind::kSums + 1] / mean_weight);
+      noise = mixed.noise();
+    }
+    if (is_better) {
       best_score = score;
       for (int i = group.thread_rank(); i < 9; i += group.num_threads()) work.best[i] = work.model[i];
     }
     group.sync();
     if (!rises || round == p.rounds) break;
-    if (!warp.is_idle()) fit(Kind{}, sums, one, two, work, warp);
+    if (is_fitted && !warp.is_idle()) fit(Kind{}, sums, one, two, work, warp);
     group.sync();
   }
   if (group.thread_rank() != 0) return;

@@ -7,10 +7,12 @@ namespace {
 
 std::tuple<Tensor, Tensor> two_view_fits(Tensor const& models, Tensor const& points1, Tensor const& points2,
                                          std::optional<Tensor> const& weights, Tensor const& reaches, int64_t rounds,
-                                         int64_t model) {
+                                         int64_t model, bool adapts) {
   constexpr char const* op = "two_view_fits";
   Model const kind = parse_model(op, model);
   KV_CHECK(kind != Model::lines, op, ": no kernel for lines");
+  KV_CHECK(!adapts || kind == Model::fundamental || kind == Model::fundamental8, op,
+           ": expected a fundamental matrix for fits that adapt");
   KV_CHECK(models.dim() == 4 && models.size(2) == 3 && models.size(3) == 3, op,
            ": expected models of shape (B, K, 3, 3)");
   int64_t const batch = models.size(0), num_models = models.size(1);
@@ -37,6 +39,7 @@ std::tuple<Tensor, Tensor> two_view_fits(Tensor const& models, Tensor const& poi
                                    batch,
                                    num_models,
                                    count,
+                                   adapts,
                                    data_ptr<double>(fitted),
                                    data_ptr<double>(scores)};
   KV_RUN(two_view_fits, m.tensor, params, batch * num_models, (rounds + 1) * (16 * count + 4096));
@@ -45,9 +48,8 @@ std::tuple<Tensor, Tensor> two_view_fits(Tensor const& models, Tensor const& poi
 
 }  // namespace
 
-KV_OPERATOR(
-    two_view_fits,
-    "(Tensor models, Tensor points1, Tensor points2, Tensor? weights, Tensor reaches, int rounds, int model) -> "
-    "(Tensor, Tensor)")
+KV_OPERATOR(two_view_fits,
+            "(Tensor models, Tensor points1, Tensor points2, Tensor? weights, Tensor reaches, int rounds, int model, "
+            "bool adapts) -> (Tensor, Tensor)")
 
 }  // namespace kv::geometry

@@ -184,7 +184,7 @@ inline constexpr Operator<"first_root", Tensor(Tensor coefficients)> first_root{
 // --- geometry/solvers/two_view_fits_op.cpp
 
 inline constexpr Operator<"two_view_fits", Two(Tensor models, Tensor points1, Tensor points2, OptionalTensor weights,
-                                               Tensor reaches, int64_t rounds, int64_t model)>
+                                               Tensor reaches, int64_t rounds, int64_t model, bool adapts)>
     two_view_fits{non_differentiable};
 
 // --- geometry/subpix/nms_op.cpp

@@ -4,7 +4,7 @@ A round draws minimal samples of all pairs of a batch, solves for their models a
 takes two operators, whatever the number of hypotheses. Rounds end as soon as the best model of every pair reaches the
 requested confidence, which the host reads once a round. Where few samples are of right correspondences alone, further ones
 are drawn from the inliers of the best model. The best hypotheses are fitted to all correspondences by sigma-consensus++, those
-of all pairs at once.
+of all pairs at once. Of fundamental matrices the best fit then estimates the noise together with the model.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from kvision.geometry.epipolar.essential import nearest_essential
 from kvision.geometry.epipolar.projection import cross_product_matrix
 from kvision.geometry.solvers._minimal import SIZES, eight_points, minimal_solver
 from kvision.geometry.solvers._sigma_consensus import best_of, consensus
-from kvision.geometry.solvers._two_view_fits import LINEAR_FITS, squared_errors, two_view_fits
+from kvision.geometry.solvers._two_view_fits import ADAPTS, LINEAR_FITS, squared_errors, two_view_fits
 
 __all__ = ["RANSAC"]
 
@@ -61,8 +61,9 @@ _KEPT, _FEW = 16, 8
 # The largest error that a fit uses, in thresholds: what far ones tell of the noise is worth more than the wrong ones among them
 # cost. Distances from lines let more of these in than those of points.
 # Where the confidence is not reached the first fits use `_WIDE`, because no sample may be of right correspondences alone.
+# Of fits that estimate the noise afterwards the best is chosen by a smaller one.
 _REACH = {"homography": 5.0, "fundamental": 2.0, "fundamental8": 2.0, "essential": 1.75}
-_WIDE = 4.0
+_WIDE, _NEAR = 4.0, 1.5
 _GROWTH = {"homography": 8}  # of rounds, else 4: of hypotheses that take little time
 _BATCH = 2048  # hypotheses of one `max_iter` round for batch_size "auto"
 _FIRST = 2**14  # hypotheses of all pairs in the first round
@@ -179,7 +180,8 @@ class RANSAC(nn.Module):
             does not synchronize with the host.
         max_lo_iters: the most fits of the best hypotheses by sigma-consensus++.
         score_type: what ranks hypotheses before they are fitted: "msac", the sum of 1 - e^2 / inl_th^2 over inliers, or "ransac",
-            their number. Fits are ranked by the loss of MAGSAC++.
+            their number. Fits are ranked by the loss of MAGSAC++. The last fits of a fundamental matrix estimate the noise, too,
+            by expectation maximization; `inl_th` is the largest deviation of it.
         prosac_sampling: points are sorted, the most reliable first; the first samples are drawn from the first points.
         seed: seed of every call; None draws from torch's default generator.
         lo_sample_size: no effect, since models are fitted to all correspondences.
@@ -404,17 +406,21 @@ class RANSAC(nn.Module):
         limits = thresholds.double()
         reaches, wide = self._reaches(limits), _WIDE * limits
 
-        def fits(models: Tensor, w: Tensor | None, rounds: int, reaches: Tensor = reaches) -> tuple[Tensor, Tensor]:
-            return two_view_fits(models.double(), exact[0], exact[1], w, reaches, rounds, self.model)
+        def fits(
+            models: Tensor, w: Tensor | None, rounds: int, reaches: Tensor = reaches, adapts: bool = False
+        ) -> tuple[Tensor, Tensor]:
+            return two_view_fits(models.double(), exact[0], exact[1], w, reaches, rounds, self.model, adapts)
 
         models = self._hypotheses(points, rows, exists, thresholds, fits)
         most = self.max_lo_iters
         if models.shape[1] > _FEW:
             models = fits(models, w, min(most, 2), wide)[0]
-        for rounds, kept in ((1, 4), (most, 1)):
+        adapts = most > 0 and self.model in ADAPTS
+        near = _NEAR * limits if adapts else reaches
+        for rounds, kept in ((1, 4), (4 if adapts else most, 1)):
             if models.shape[1] > kept:
-                models = best_of(*fits(models, w, min(rounds, most)), kept)
-        return fits(models, w, most + self.refine_iters)[0][:, 0]
+                models = best_of(*fits(models, w, min(rounds, most), near), kept)
+        return fits(models, w, most + self.refine_iters, reaches, adapts)[0][:, 0]
 
     def _reaches(self, thresholds: Tensor) -> Tensor:
         """The largest errors of correspondences that fits use."""

@@ -19,8 +19,8 @@ from torch import Tensor
 from kvision._ops import is_compiling
 
 _QUANTILE = 11.345  # 99% of the squared norms of three normal numbers are below
-_END = _QUANTILE / 2
-_REST = math.exp(-_END)
+END = _QUANTILE / 2
+_REST = math.exp(-END)
 
 _TOLERANCE = 1e-5  # relative increase of a score that further fits are worth
 
@@ -32,9 +32,9 @@ Fit = Callable[[Tensor, Tensor], Tensor]  # models (B, K, m, n) near others, for
 
 def consensus(errors: Tensor, reach: float | Tensor) -> tuple[Tensor, Tensor]:
     """Weights of squared errors in a fit, and what they contribute to the score of a model; 0 from `reach` on and for NaN."""
-    x = (errors * (_END / reach**2)).nan_to_num(_END, _END).clamp(max=_END)
+    x = (errors * (END / reach**2)).nan_to_num(END, END).clamp(max=END)
     likelihood = (-x).exp()
-    return likelihood - _REST, likelihood - _REST + _REST * (x - _END)
+    return likelihood - _REST, likelihood - _REST + _REST * (x - END)
 
 
 def rising_fits(

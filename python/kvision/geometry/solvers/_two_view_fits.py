@@ -22,11 +22,15 @@ from kvision.geometry._normalization import normalized
 from kvision.geometry.homography.dlt import homography_of, of_lines
 from kvision.geometry.linalg import adjugate
 from kvision.geometry.solvers._minimal import epipolar_rows
-from kvision.geometry.solvers._sigma_consensus import rising_fits
+from kvision.geometry.solvers._sigma_consensus import END, rising_fits
 from kvision.geometry.solvers.affine import affine_of
 from kvision.geometry.solvers.null_vector import eigenvectors
 
 _STEPS = 3  # of Newton's method on the manifold of a model; each doubles the correct digits
+_FREEDOM, _NOISE_ROUNDS = (
+    7,
+    2,
+)  # of fits that adapt: numbers of a fundamental matrix; rounds that estimate the noise alone
 
 # [e_k]x of the three axes.
 _GENERATORS = (
@@ -218,6 +222,7 @@ FITS: dict[str, Callable[..., TwoViewFit]] = {
     "fundamental8": FundamentalFit,
     "essential": EssentialFit,
 }
+ADAPTS = ("fundamental", "fundamental8")  # whose fits can estimate the noise, too
 
 
 def _reference(
@@ -228,6 +233,7 @@ def _reference(
     reaches: Tensor,
     rounds: int,
     number: int,
+    adapts: bool,
 ) -> tuple[Tensor, Tensor]:
     model = MODEL_NAMES[number]
     x, y = points1.mT, points2.mT
@@ -236,20 +242,58 @@ def _reference(
     fit = FITS[model](model, x, y, None if weights is None else weights > 0)
     is_known = models.isfinite().flatten(2).all(-1)[..., None, None]
     models = torch.where(is_known, models, torch.nan)
+    if adapts:
+        best, scores = _adapted_fits(models.double(), fit, reaches[:, None, None], rounds, weights)
+        return best.to(models.dtype), scores.to(models.dtype)
     best, scores, _ = rising_fits(models.double(), fit.errors, fit, reaches[:, None, None], rounds, weights)
     return best.to(models.dtype), scores.to(models.dtype)
 
 
+def _adapted_fits(
+    models: Tensor, fit: TwoViewFit, reach: Tensor, rounds: int, weights: Tensor | None
+) -> tuple[Tensor, Tensor]:
+    """Models (B, K, 3, 3) near others, and how many of their correspondences are right, (B, K), by expectation maximization.
+
+    Residuals of right correspondences are normal numbers, those of wrong ones equally frequent everywhere within the size of
+    the images. Each round weighs correspondences by their probability to be right, and estimates from these weights how many
+    are right, the variance of the noise and, but for the first rounds, the model.
+    """
+    exists = (fit.x + fit.y).isfinite().all(-1)[:, None]  # (B, 1, N)
+    count = exists.sum(-1, keepdim=True).double()
+    w = exists.double() if weights is None else torch.where(exists, weights[:, None], 0.0)
+    mean_weight = w.sum(-1, keepdim=True) / count.clamp(min=1)
+    extent = 2**0.5 * (1 / fit.T1[..., 0, :1] + 1 / fit.T2[..., 0, :1])[:, None, 0]
+    limit = reach.square()
+    variance, right, best = limit / (2 * END), count / 2, models
+    score = models.new_zeros(*models.shape[:2], 1)
+    for i in range(rounds + 1):
+        e = fit.errors(models)
+        odds = right / ((count - right + 1) / extent * (2 * torch.pi * variance).sqrt())
+        ratio = odds * (-e / (2 * variance)).exp()
+        s = torch.where(e < 4 * limit, w * (ratio / (1 + ratio)), 0)
+        right, squares = ((x / mean_weight).sum(-1, keepdim=True) for x in (s, s * e.nan_to_num(0.0, 0.0)))
+        is_better = right > _FREEDOM
+        best = torch.where(is_better[..., None], models, best)
+        score = torch.where(is_better, right, score)
+        if i == rounds:
+            break
+        variance = (squares / (right - _FREEDOM).clamp(min=1)).clamp(1e-6 * limit, limit / 4)
+        following = fit(models, s) if i >= _NOISE_ROUNDS else models
+        models = torch.where(is_better[..., None], following, torch.nan)
+    return best, score[..., 0]
+
+
 def _supports(*args: Any) -> str | None:
     """Line segments have no kernel, nor have numbers of single precision."""
-    if args[-1] == MODEL["lines"]:
+    if args[-2] == MODEL["lines"]:
         return "no kernel fits homographies to line segments"
     return None if args[0].dtype == torch.float64 else "the kernel takes float64"
 
 
 # Takes models (B, K, 3, 3), points (B, 2, N) or the ends of segments (B, 4, N), weights (B, N) or None, and the largest errors
 # (B) that count, in double. Returns the fits (B, K, 3, 3) with the highest scores (B, K) among up to `rounds` from each model; NaN
-# and 0 for models that are not finite.
+# and 0 for models that are not finite. Fits of fundamental matrices can adapt to the noise, which the reaches bound; their scores
+# are the numbers of right correspondences.
 _two_view_fits = register(
     "two_view_fits",
     _reference,
@@ -260,7 +304,16 @@ _two_view_fits = register(
 
 
 def two_view_fits(
-    models: Tensor, points1: Tensor, points2: Tensor, weights: Tensor | None, reaches: Tensor, rounds: int, model: str
+    models: Tensor,
+    points1: Tensor,
+    points2: Tensor,
+    weights: Tensor | None,
+    reaches: Tensor,
+    rounds: int,
+    model: str,
+    adapts: bool = False,
 ) -> tuple[Tensor, Tensor]:
-    result: tuple[Tensor, Tensor] = _two_view_fits(models, points1, points2, weights, reaches, rounds, MODEL[model])
+    result: tuple[Tensor, Tensor] = _two_view_fits(
+        models, points1, points2, weights, reaches, rounds, MODEL[model], adapts
+    )
     return result

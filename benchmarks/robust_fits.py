@@ -254,8 +254,13 @@ def opencv(kind: str, pair: Pair) -> Callable[[int], np.ndarray | None]:
             return cv2.findFundamentalMat(pair.x, pair.y, params)[0]
         if kind == "essential":
             return cv2.findEssentialMat(pair.x, pair.y, pair.camera, pair.camera, None, None, params)[0]
-        found = cv2.solvePnPRansac(pair.x, pair.y, pair.camera.copy(), None, params=params)
-        return cv2.Rodrigues(found[2])[0] if found[0] else None
+        found, _, rotation, position, inliers = cv2.solvePnPRansac(
+            pair.x, pair.y, pair.camera.copy(), None, params=params
+        )
+        if not found:
+            return None
+        X, x = (p[inliers.ravel()] for p in (pair.x, pair.y))  # its last fit is linear
+        return cv2.Rodrigues(cv2.solvePnPRefineLM(X, x, pair.camera, None, rotation, position)[0])[0]
 
     return fit
 

@@ -98,6 +98,7 @@ def test_grid_mask_drops_lines(device: torch.device) -> None:
         (lambda: A.GridMask((0, 3)), "GridMask: expected num_grid_range"),
         (lambda: A.PixelDropout(1.5), "PixelDropout: expected dropout_prob"),
         (lambda: A.PixelDropout(drop_value=255), "PixelDropout: expected drop_value"),
+        (lambda: A.XYMasking(), "XYMasking: expected num_masks_x_range or num_masks_y_range with more than 0 stripes"),
         (lambda: A.TimeMasking(0), "TimeMasking: expected time_mask_param"),
     ],
 )

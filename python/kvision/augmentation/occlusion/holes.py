@@ -13,6 +13,7 @@ from kvision.augmentation.erase import erase_rectangles
 from kvision.augmentation.occlusion.dropout_base import ErasingDropout
 from kvision.augmentation.random_generator.occlusion import Holes, HolesGenerator, Lengths
 from kvision.augmentation.ranges import Numbers
+from kvision.core.exceptions import ValueCheckError
 
 
 class HoleDropout(ErasingDropout, keeps_contract=True):
@@ -88,7 +89,7 @@ class XYMasking(HoleDropout, keeps_contract=True):
         keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
 
     Raises:
-        TypeError, ValueError: a range does not have the form in Args, or is out of bounds.
+        TypeError, ValueError: a range does not have the form in Args, or is out of bounds; there are no stripes.
 
     Example:
         >>> import torch, kvision as K
@@ -122,6 +123,10 @@ class XYMasking(HoleDropout, keeps_contract=True):
             ranges.parse_integers(op, "num_masks_y_range", num_masks_y_range, 0),
             Lengths.parse(op, "mask_y_length_range", mask_y_length_range),
         )
+        if along_x.number[1] == along_y.number[1] == 0:
+            raise ValueCheckError(
+                f"{op}: expected num_masks_x_range or num_masks_y_range with more than 0 stripes, got none"
+            )
         self._param_generator = HolesGenerator(op, [along_x, along_y], self.fill)
 
 

@@ -291,6 +291,35 @@ def test_user_classes() -> None:
     assert torch.equal(flip(x), x + 1)
 
 
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda ends: A.GridDistortion(3, ends, p=1.0),
+        lambda ends: A.GridDistortion(3, ends, normalized=False, p=1.0),
+        lambda ends: A.MultiplicativeNoise(ends + 1, p=1.0),
+        lambda ends: A.MultiplicativeNoise(ends + 1, elementwise=True, p=1.0),
+        lambda ends: A.MultiplicativeNoise(ends + 1, per_channel=True, p=1.0),
+    ],
+    ids=range(5),
+)
+def test_learned_ranges_of_many_numbers(make: Any, device: torch.device) -> None:
+    """Against differences: the numbers are those of plain ranges, and depend linearly on both ends."""
+    columns = torch.linspace(0, 3, 40, dtype=torch.float64, device=device).sin()
+    images = (columns * columns[:30, None]).expand(2, 3, 30, 40)
+    ends = torch.tensor([-0.2, 0.3], requires_grad=True)
+
+    def result(values: Tensor) -> Tensor:
+        return make(values)(images, seed=7).square().sum()
+
+    value = result(ends)
+    torch.testing.assert_close(value, result(ends.detach()), rtol=1e-5, atol=0)
+    (grad,) = torch.autograd.grad(value, ends)
+    for i in range(2):
+        step = 1e-3 * torch.eye(2)[i]
+        expected = (result(ends.detach() + step) - result(ends.detach() - step)) / 2e-3
+        torch.testing.assert_close(grad[i].double(), expected.cpu(), rtol=2e-2, atol=1e-3)
+
+
 def test_learned_range() -> None:
     degrees = nn.Parameter(torch.tensor([-20.0, 20.0]))
     rotate = A.RandomRotation(degrees, p=1.0)

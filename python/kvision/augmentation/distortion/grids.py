@@ -59,7 +59,8 @@ class GridDistortion(DistortionBase, keeps_contract=True):
         self._param_generator = MappedGenerator(maps={"steps": NoiseMap(size=(2, 1, steps))}, op=op)
 
     def displacements(self, shape: tuple[int, ...], params: Params, flags: dict[str, Any], like: Tensor) -> Tensor:
-        low, high = self._range.low, self._range.high
+        learned = self._range.tensor
+        low, high = (self._range.low, self._range.high) if learned is None else learned.to(like).unbind()
         factors = 1 + low + (high - low) * params["steps"].to(like)[:, :, 0]  # of columns and of rows
         along_x, along_y = (self._along(f, n) for f, n in zip(factors.unbind(1), (shape[-1], shape[-2])))
         height, width = shape[-2:]

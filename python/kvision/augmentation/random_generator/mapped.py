@@ -12,7 +12,7 @@ from kvision.augmentation.draws import integer, uniform
 from kvision.augmentation.noise import MULTIPLY, SHARED, PixelNoise, gaussian_noise, uniform_noise
 from kvision.augmentation.random_generator.base import Shape
 from kvision.augmentation.random_generator.plain import PlainUniformGenerator
-from kvision.augmentation.ranges import Range
+from kvision.augmentation.ranges import LearnedUniform, Range
 
 __all__: list[str] = []  # Kornia has none of these
 
@@ -108,6 +108,9 @@ class FactorsGenerator(PlainUniformGenerator):
     def draws(self, shape: Shape) -> Sequence[Any]:
         if self.between is None:
             return super().draws(shape)
+        if (learned := self.between.tensor) is not None:
+            middle, half = learned.mean(), (learned[1] - learned[0]) / 2
+            return [LearnedUniform(middle.expand(2), 1.0, 1.0), LearnedUniform(half.expand(2), 1.0, 0.0)]
         low, high = self.between.low, self.between.high
         mean, scale = (low + high) / 2, (high - low) / 2
         return [uniform(mean, mean, 1.0), uniform(scale, scale)]

@@ -137,6 +137,20 @@ KV_HD void store(double* p, Lanes<double, N> v) {
 // Bytes saturate and round half to even, as OpenCV does; NaN becomes 0.
 template <int N>
 KV_HD void store(uint8_t* p, Lanes<float, N> v) {
+  // Special case: of one and two vectors what the language has no operators for. Numbers above 2^31 convert to it.
+#if defined(__AVX512F__)
+  if constexpr (N == 16) {
+    __m512 const positive = _mm512_max_ps((__m512)v, _mm512_setzero_ps());  // of NaN the second operand
+    return _mm_storeu_si128((__m128i*)p, _mm512_cvtusepi32_epi8(_mm512_cvtps_epi32(positive)));
+  }
+#elif defined(__AVX2__)
+  if constexpr (N == 8) {
+    __m256 const clamped = _mm256_min_ps(_mm256_max_ps((__m256)v, _mm256_setzero_ps()), _mm256_set1_ps(255));
+    __m256i const ints = _mm256_cvtps_epi32(clamped);
+    __m128i const words = _mm_packs_epi32(_mm256_castsi256_si128(ints), _mm256_extracti128_si256(ints, 1));
+    return _mm_storel_epi64((__m128i*)p, _mm_packus_epi16(words, words));
+  }
+#endif
   v = v > 0.f ? v : v * 0.f;
   v = v > 0.f ? v : broadcast<N>(0.f);  // NaN * 0 is NaN
   v = v < 255.f ? v : broadcast<N>(255.f);

@@ -243,6 +243,7 @@ def _reference(
     is_known = models.isfinite().flatten(2).all(-1)[..., None, None]
     models = torch.where(is_known, models, torch.nan)
     if adapts:
+        assert isinstance(fit, FundamentalFit)
         best, scores = _adapted_fits(models.double(), fit, reaches[:, None, None], rounds, weights)
         return best.to(models.dtype), scores.to(models.dtype)
     best, scores, _ = rising_fits(models.double(), fit.errors, fit, reaches[:, None, None], rounds, weights)
@@ -250,7 +251,7 @@ def _reference(
 
 
 def _adapted_fits(
-    models: Tensor, fit: TwoViewFit, reach: Tensor, rounds: int, weights: Tensor | None
+    models: Tensor, fit: EpipolarFit, reach: Tensor, rounds: int, weights: Tensor | None
 ) -> tuple[Tensor, Tensor]:
     """Models (B, K, 3, 3) near others, and how many of their correspondences are right, (B, K), by expectation maximization.
 

@@ -22,7 +22,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 TESTS = (
-    *("tests/test_ops.py", "tests/test_torch_compat.py"),
+    *("tests/test_ops.py", "tests/packaging/test_torch_compat.py"),
     *("tests/filters/edges/test_sobel.py", "tests/filters/smoothing/test_box.py"),
 )
 # What the tests import besides torch.

@@ -1,6 +1,6 @@
 """The parts of torch without a public name, and what torch.onnx lacks; every other file of kvision uses public names only.
 
-A comment says what each part waits for. tests/test_torch_compat.py asserts that no other file reaches
+A comment says what each part waits for. tests/packaging/test_torch_compat.py asserts that no other file reaches
 a private one, and tools/test_torch_versions.py runs the core of the suite on the oldest and the newest torch.
 """
 

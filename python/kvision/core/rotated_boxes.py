@@ -8,8 +8,11 @@ from torch import Tensor
 
 def rotated_overlap(a: Tensor, b: Tensor) -> Tensor:
     """The intersection over union (*) of boxes (*, 5), cx, cy, w, h and degrees; NaN where a width or height is not positive."""
-    both = _intersection(a, b)
     areas = [torch.where((x[..., 2:4] > 0).all(-1), x[..., 2] * x[..., 3], torch.nan) for x in (a, b)]
+    # In the axes of the smaller one, to whose area rounding is relative. What is left of sums that cancel is no overlap.
+    first_is_smaller, smaller = (areas[0] < areas[1])[..., None], torch.minimum(*areas)
+    both = _intersection(torch.where(first_is_smaller, b, a), torch.where(first_is_smaller, a, b))
+    both = torch.where(both > 8 * torch.finfo(both.dtype).eps * smaller, torch.minimum(both, smaller), 0)
     return both / (areas[0] + areas[1] - both)
 
 

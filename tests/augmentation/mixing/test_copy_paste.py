@@ -70,6 +70,10 @@ def test_pixels_boxes_and_labels(least: float, dtype: torch.dtype, device: torch
             assert torch.equal(output.cpu(), value)
         assert all(map(torch.equal, paste(*data, params=paste._params), outputs))
     assert len(numbers) > 2
+    for kind in (torch.bool, torch.int32, torch.float16):
+        masks = paste(data[0], data[1] != 0, *data[2:], seed=3)[1]
+        again = paste(data[0], (data[1] != 0).to(kind), *data[2:], seed=3)[1]
+        assert masks.dtype == torch.bool and again.dtype == kind and torch.equal(again != 0, masks)
     assert torch.equal(A.RandomCopyPaste(p=0.0)(*data[:2])[0], data[0])
     assert torch.equal(A.RandomCopyPaste(p=0.0)(*data[:2])[1][:, :3], data[1])
 

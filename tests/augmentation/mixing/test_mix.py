@@ -202,6 +202,52 @@ def test_mosaic_boxes_are_on_their_objects() -> None:
     assert torch.equal(mosaic(x, whole, seed=2)[1], mosaic(x, whole.float(), seed=2)[1])
 
 
+def test_masks_of_mosaics_of_another_size_are_those_of_their_images() -> None:
+    images = 100 * torch.arange(6.0)[:, None, None, None] + torch.arange(64.0).reshape(8, 8)
+    for augment in (
+        A.RandomMosaic((6, 5), p=0.5, resample="nearest", data_keys=["input", "mask"]),
+        A.AugmentationSequential(A.RandomMosaic((6, 5), p=0.5, resample="nearest"), data_keys=["input", "mask"]),
+    ):
+        for seed in range(3):
+            mixed, masks = augment(images, images.clone(), seed=seed)
+            assert mixed.shape[-2:] == (6, 5)
+            assert torch.equal(mixed, masks)
+
+
+@pytest.mark.parametrize(
+    "name, key, shape",
+    [
+        ("RandomMixUpV2", "mask", (3, 1, 8, 8)),
+        ("RandomCutMixV2", "mask", (3, 1, 8, 8)),
+        ("RandomCutMixV2", "bbox_xyxy", (3, 4, 4)),
+        ("PatchMix", "bbox_xyxy", (3, 4, 4)),
+        ("RandomJigsaw", "mask", (3, 1, 8, 8)),
+        ("RandomJigsaw", "bbox_xyxy", (3, 32, 4)),
+        ("RandomJigsaw", "keypoints", (3, 2, 2)),
+        ("RandomMosaic", "mask", (3, 1, 8, 8)),
+        ("RandomMosaic", "bbox_xyxy", (3, 8, 4)),
+    ],
+)
+def test_labels_have_the_shape_of_mixed_ones_at_a_probability_of_zero(name: str, key: str, shape: Any) -> None:
+    images, boxes = torch.rand(3, 1, 8, 8), torch.tensor([[[1.0, 1, 2, 2], [0, 2, 1, 3]]]).repeat(3, 1, 1)
+    labels = {"mask": torch.rand(3, 1, 8, 8), "bbox_xyxy": boxes, "keypoints": torch.rand(3, 2, 2)}[key]
+    for p in (0.0, 1.0):
+        mixed, moved = getattr(A, name)(p=p, data_keys=["input", key])(images, labels)
+        assert moved.shape == shape
+        if p == 0:
+            kept = moved[moved.flatten(2).any(2)].view(labels.shape) if key == "bbox_xyxy" else moved
+            assert torch.equal(mixed, images) and torch.equal(kept, labels)
+
+
+@pytest.mark.parametrize("dtype", [torch.uint8, torch.bool])
+def test_labels_of_boxes_that_have_no_minus_one(dtype: torch.dtype) -> None:
+    images, boxes, labels = torch.rand(4, 1, 8, 8), 8 * torch.rand(4, 2, 4), torch.ones(4, 2, dtype=dtype)
+    for cls in (A.RandomCutMixV2, A.RandomMosaic):
+        mix = cls(p=0.5, data_keys=["input", "bbox_xyxy", "class"])
+        with pytest.raises(TypeError, match="expected labels of boxes of a signed type"):
+            mix(images, boxes, labels)
+
+
 def test_refuses_tensors_that_cannot_be_mixed() -> None:
     x = images()
     with pytest.raises(NotImplementedError, match="boxes cannot be mixed"):

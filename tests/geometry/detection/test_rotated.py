@@ -36,6 +36,19 @@ def test_nms_is_greedy(n, threshold, device):
     assert G.nms_rotated(single.to(device), scores.to(device), threshold).tolist() == expected
 
 
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_what_does_not_overlap_is_not_suppressed_at_zero(dtype, device):
+    angle = torch.rand(60, dtype=torch.float64, generator=torch.Generator().manual_seed(2))[:, None] * 360
+    column = torch.arange(60, dtype=torch.float64)[:, None]
+    boxes = torch.cat([8 * column, 30 * (column % 7), torch.full_like(column, 5), 1 + column / 20, angle], 1)
+    overlaps = K.metrics.box_iou_rotated(boxes.to(device, dtype), boxes.to(device, dtype))
+    assert torch.equal(overlaps > 0, torch.eye(60, dtype=torch.bool, device=device))
+    assert len(G.nms_rotated(boxes.to(device, dtype), torch.rand(60, device=device), 0.0)) == 60
+    many = rotated(100).to(device, dtype)
+    overlaps = K.metrics.box_iou_rotated(many, many)
+    assert overlaps.min() == 0 and overlaps.max() <= 1 and torch.equal(overlaps == 0, overlaps.mT == 0)
+
+
 def test_upright_boxes_are_those_of_nms(device):
     upright = rotated(100).to(device)
     upright[:, 4] = 0

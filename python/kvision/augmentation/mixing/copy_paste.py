@@ -13,6 +13,7 @@ from kvision.augmentation.draws import integer
 from kvision.augmentation.engine import Execution, Params
 from kvision.augmentation.keys import Seed
 from kvision.augmentation.labels import BOX_FORMATS
+from kvision.augmentation.mixing.mix import check_signed
 from kvision.augmentation.mixing.transplantation import MaskMixBase
 from kvision.augmentation.random_generator.base import RandomGeneratorBase, Shape
 from kvision.augmentation.random_generator.windows import random_numbers
@@ -42,11 +43,11 @@ def _other_samples(words: Tensor) -> Tensor:
 class RandomCopyPaste(MaskMixBase):
     """Paste random instances of one sample into another one of the batch: simple copy-paste of instance segmentation.
 
-    The donor of a sample is a random other one of the batch, all equally likely. What is pasted hides what was there: masks
-    lose these pixels, boxes become those around what is left of their masks, and instances of which too little is left are
-    removed. So of N instances there are 2 N: those of the image, and behind them those of the donor. Instances that are
-    removed or not pasted have a mask and a box of zeros and the label -1. For the published recipe put scale jitter, as of
-    :class:`RandomZoomOut` and :class:`RandomResizedCrop`, before it.
+    The donor of a sample is a random other one of the batch, all equally likely. What is pasted hides what was there: masks lose
+    these pixels, boxes become those around what is left of their masks, and instances of which too little is left are removed. So
+    of N instances there are 2 N: those of the image, and behind them those of the donor. Instances that are removed or not pasted
+    have a mask and a box of zeros and the label -1. For the published recipe put scale jitter, as of :class:`RandomZoomOut` and
+    :class:`RandomResizedCrop`, before it.
 
     Masks are those of instances, (B, N, H, W), what is not 0 is inside; boxes "bbox_xyxy" (B, N, 4), and labels "class"
     (B, N, ...) are those of the same instances, in the same order.
@@ -161,13 +162,14 @@ class RandomCopyPaste(MaskMixBase):
             return self._blended(x, donors, pasted)
         axes = (..., *[None] * (x.dim() - 2))
         if key == DataKey.MASK:
-            own = torch.where(kept[axes] & ~pasted, x, 0)
-            return torch.cat([own, torch.where(selected[axes], donors, 0)], 1)
+            own = x.masked_fill(~kept[axes] | pasted, 0)
+            return torch.cat([own, donors.masked_fill(~selected[axes], 0)], 1)
         if key in BOX_FORMATS:
             self._check_xyxy({"mode": key})
             own = torch.where(is_cut[..., None], boxes.to(x.dtype), x)
             return torch.cat([torch.where(kept[..., None], own, 0), torch.where(selected[..., None], donors, 0)], 1)
         if key == DataKey.CLASS:
+            check_signed("RandomCopyPaste", x)
             return torch.cat([torch.where(kept[axes], x, -1), torch.where(selected[axes], donors, -1)], 1)
         raise self._refuse("key points")
 

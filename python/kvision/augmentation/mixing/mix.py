@@ -35,7 +35,7 @@ from kvision.augmentation.random_generator.mix import (
 from kvision.augmentation.ranges import Numbers
 from kvision.augmentation.samples import where_chosen
 from kvision.constants import AnyResample, DataKey, DataKeys, Resample
-from kvision.core.exceptions import BaseError, ShapeError, ValueCheckError
+from kvision.core.exceptions import BaseError, ShapeError, TypeCheckError, ValueCheckError
 
 __all__ = ["MixAugmentationBaseV2", "PatchMix", "RandomCutMixV2", "RandomJigsaw", "RandomMixUpV2", "RandomMosaic"]
 
@@ -152,20 +152,19 @@ class MixAugmentationBaseV2(AugmentationBase2D, keeps_contract=True):
         """What belongs to a key, mixed; `boxes` is how many boxes an image has, None without boxes."""
         if key == DataKey.INPUT:
             return self._run(self.transform_tensor(value), execution, self.flags)
-        params = self._params_on_device(x, execution)
         if key == DataKey.MASK:
-            return self._chosen(self.apply_transform_mask(value, params, self.flags), value, execution)
-        if key in BOX_FORMATS:
-            return self.apply_transform_boxes(value, params, {**self.flags, "mode": key, "chosen": execution.chosen})
-        if key == DataKey.KEYPOINTS:
-            return self._chosen(self.apply_transform_keypoint(value, params, self.flags), value, execution)
-        if value.dim() == 2 and value.shape[1] != boxes and self._is_mixture(value, boxes):
-            return self._mixed_probabilities(value, params, execution)
+            return self.transform_masks(value, execution, self.flags)
         if execution.applied:
-            params = {**params, "chosen": execution.chosen}
+            params = {**self._params_on_device(x, execution), "chosen": execution.chosen}
         else:  # labels have the shape of mixed ones, so that the parameters are read all the same
             params = {name: value.to(x.device) for name, value in self._read_params(execution).items()}
             params["chosen"] = torch.zeros(x.shape[0], dtype=torch.bool, device=x.device)
+        if key in BOX_FORMATS:
+            return self.apply_transform_boxes(value, params, {**self.flags, "mode": key, "chosen": params["chosen"]})
+        if key == DataKey.KEYPOINTS:
+            return where_chosen(params["chosen"], self.apply_transform_keypoint(value, params, self.flags), value)
+        if value.dim() == 2 and value.shape[1] != boxes and self._is_mixture(value, boxes):
+            return self._mixed_probabilities(value, params, execution)
         return self.apply_transform_class(value, params, self.flags)
 
     def _mixed_labels(self, key: DataKey, labels: Any, execution: Execution, boxes: int | None) -> Any:
@@ -203,27 +202,26 @@ class MixAugmentationBaseV2(AugmentationBase2D, keeps_contract=True):
             raise ShapeError(f"{op}: expected {name} of {count} images, got {tuple(labels.shape)}")
 
     @staticmethod
-    def _chosen(mixed: Tensor, value: Tensor, execution: Execution) -> Tensor:
-        if not execution.applied:
-            return value
-        return where_chosen(execution.chosen, mixed, value) if mixed.shape == value.shape else mixed
+    def _chosen(mixed: Tensor, unmixed: Tensor, execution: Execution) -> Tensor:
+        """Mixed samples where they are chosen; all of them in classes of users that change the size."""
+        return where_chosen(execution.chosen, mixed, unmixed) if mixed.shape == unmixed.shape else mixed
 
     def _run(self, x: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
+        size = self._output_size(execution.shape)
         if not execution.applied or x.shape[0] == 0:
-            return x
+            return self._unmixed(x, size)
         pieces = self._drawn_pieces(execution)
         if pieces is not None:
-            size = self._output_size(execution.shape)
             y: Tensor = paste_pieces(x, pieces, size)
-            return y if size == list(x.shape[-2:]) else self._chosen(y, self._unmixed(x, y), execution)
+            return y if size == list(x.shape[-2:]) else self._chosen(y, self._unmixed(x, size), execution)
         params = self._params_on_device(x, execution)
         stored = x.dtype
         image = x.float() if stored == torch.uint8 else x
         y = self.apply_transform(image, params, flags, None)
         y = y.round().clamp(0, 255).to(stored) if stored == torch.uint8 else y.to(stored)
-        return self._chosen(y, self._unmixed(x, y), execution)
+        return self._chosen(y, self._unmixed(x, size), execution)
 
-    def _unmixed(self, x: Tensor, mixed: Tensor) -> Tensor:
+    def _unmixed(self, x: Tensor, size: Sequence[int], is_mask: bool = False) -> Tensor:
         """Samples that are not chosen, in the size of the mixed ones."""
         return x
 
@@ -255,8 +253,11 @@ class MixAugmentationBaseV2(AugmentationBase2D, keeps_contract=True):
         return execution
 
     def transform_masks(self, masks: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
+        unmixed = self._unmixed(masks, self._output_size(execution.shape), is_mask=True)
+        if not execution.applied:
+            return unmixed
         params = self._params_on_device(masks, execution)
-        return self._chosen(self.apply_transform_mask(masks, params, flags), masks, execution)
+        return self._chosen(self.apply_transform_mask(masks, params, flags), unmixed, execution)
 
     def _refuse(self, what: str) -> _UnsupportedKeyError:
         return _UnsupportedKeyError(f"{type(self).__name__}: {what} cannot be mixed")
@@ -308,10 +309,21 @@ class MixAugmentationBaseV2(AugmentationBase2D, keeps_contract=True):
     inverse_images = inverse
 
 
-def _of_boxes(labels: Tensor, partners: Sequence[Tensor], params: Params) -> Tensor:
+def check_signed(op: str, labels: Tensor) -> None:
+    """Labels of boxes that have the value -1, which those get that are not there."""
+    if not labels.dtype.is_signed:
+        raise TypeCheckError(
+            f"{op}: expected labels of boxes of a signed type, since they become -1 where there is no box, got {labels.dtype}",
+            actual_type=labels.dtype,
+        )
+
+
+def _of_boxes(op: str, labels: Tensor, partners: Sequence[Tensor], params: Params) -> Tensor:
     """Labels of boxes (B, N), followed by those of the partners' boxes; -1 for samples that are not chosen."""
-    added = [labels[index.to(labels.device)] for index in partners]
-    added = [where_chosen(params.get("chosen"), theirs, -1).to(labels.dtype) for theirs in added]
+    chosen = params.get("chosen")
+    if chosen is not None:
+        check_signed(op, labels)
+    added = [where_chosen(chosen, labels[index.to(labels.device)], -1).to(labels.dtype) for index in partners]
     return torch.cat([labels, *added], 1)
 
 
@@ -485,7 +497,7 @@ class RandomCutMixV2(MixAugmentationBaseV2, keeps_contract=True):
 
     def apply_transform_class(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
         if input.dim() > 1:
-            return _of_boxes(input, [partners for partners, _ in self._windows(params)], params)
+            return _of_boxes(type(self).__name__, input, [partners for partners, _ in self._windows(params)], params)
         height, width = params["image_shape"].tolist()
         rounds = []
         for partners, windows in self._windows(params):
@@ -556,7 +568,7 @@ class PatchMix(MixAugmentationBaseV2, keeps_contract=True):
 
     def apply_transform_class(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
         if input.dim() > 1:
-            return _of_boxes(input, [params["mix_pairs"]], params)
+            return _of_boxes(type(self).__name__, input, [params["mix_pairs"]], params)
         return _labels(input, params["mix_pairs"], params["lam"], params)
 
 
@@ -722,12 +734,12 @@ class RandomMosaic(MixAugmentationBaseV2, keeps_contract=True):
         window: Tensor = paste_pieces(input, pieces, size)
         return window
 
-    def _unmixed(self, x: Tensor, mixed: Tensor) -> Tensor:
-        size = (mixed.shape[-2], mixed.shape[-1])
-        if x.shape[-2:] == size:
+    def _unmixed(self, x: Tensor, size: Sequence[int], is_mask: bool = False) -> Tensor:
+        if list(x.shape[-2:]) == list(size):
             return x
-        mode: Any = Resample.get(self.flags["resample"]).name.lower()
-        return geometry.resize(x, size, mode, align_corners=None if mode == "nearest" else self.flags["align_corners"])
+        mode: Any = "nearest" if is_mask else Resample.get(self.flags["resample"]).name.lower()
+        align_corners = None if mode == "nearest" else self.flags["align_corners"]
+        return geometry.resize(x, (size[0], size[1]), mode, align_corners=align_corners)
 
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
@@ -769,6 +781,7 @@ class RandomMosaic(MixAugmentationBaseV2, keeps_contract=True):
         chosen = params.get("chosen")
         if chosen is None:
             return mixed
+        check_signed(type(self).__name__, input)
         gone = input.new_full((len(input), mixed.shape[1] - input.shape[1], *input.shape[2:]), -1)
         return where_chosen(chosen, mixed, torch.cat([input, gone], 1))
 

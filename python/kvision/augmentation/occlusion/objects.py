@@ -25,9 +25,10 @@ from kvision.contrib.connected_components import connected_components
 class MaskDropout(DropoutBase, keeps_contract=True):
     """Fill random objects of the masks of images with a value, in the images and in the masks, as Albumentations' `MaskDropout`.
 
-    An object is a connected region of one value other than 0 in a mask of one channel, and a channel in a mask of several. Masks
-    are those of an :class:`AugmentationSequential` at this step, the first ones if there are several, or `masks` of a call,
-    (B, C, H, W) or (B, H, W). Boxes and key points stay. In videos each frame has objects of its own.
+    An object is what one value has of a connected region of pixels that are not 0, in a mask of one channel, and a channel in a
+    mask of several: parts of an instance that another one separates, and touches, are one object. Masks are those of an
+    :class:`AugmentationSequential` at this step, the first ones if there are several, or `masks` of a call, (B, C, H, W) or
+    (B, H, W). Boxes and key points stay. In videos each frame has objects of its own.
 
     Args:
         max_objects: pair of the lowest and the highest number of objects, of at least 1.

@@ -196,7 +196,7 @@ void results() {
   expect_close("keep_best_models, scores", scores, torch::full({2, 1, 2}, 9.f));
   Tensor const pixels = points.to(torch::kDouble);
   auto const [fitted, sums] = kvision::ops::two_view_fits(one.to(torch::kDouble), pixels, pixels, {},
-                                                          torch::full({2}, 0.1, torch::kDouble), 1, homography);
+                                                          torch::full({2}, 0.1, torch::kDouble), 1, homography, false);
   expect_close("two_view_fits", fitted / fitted.slice(2, 2).slice(3, 2), one.to(torch::kDouble));
 }
 

@@ -595,6 +595,7 @@ print((peak() - before) / (4 * 3 * 1080 * 1920))
 """
 
 
+@pytest.mark.programs
 def test_memory_of_many_patches(device, backend):
     """2,048 patches of an image, and their gradient, take the memory of the patches: less than three images."""
     if backend == "reference":

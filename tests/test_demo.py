@@ -19,6 +19,8 @@ pytest.importorskip("cv2")
 pytest.importorskip("PIL")
 pytest.importorskip("tqdm")
 
+from PIL import ImageFont
+
 from kvision.demo import __main__ as demo
 from kvision.demo import attack, augmentation, contact_sheet, gallery, sheet
 from kvision.demo.restore import restore
@@ -205,6 +207,15 @@ def test_draws_of_augmentations_have_their_labels(name: str) -> None:
 
 
 @pytest.mark.slow
+def test_captions_are_no_wider_than_their_columns() -> None:
+    font = ImageFont.load_default(18)
+    for call in ("adjust_contrast_with_mean_subtraction(x, 1.6): farther from the mean", "rgb_to_lab(x): its colors"):
+        lines = gallery._wrapped(call, 200, font).split("\n")
+        assert "".join(lines).replace(" ", "") == call.replace(" ", "")
+        assert max(map(font.getlength, lines)) <= 200
+    assert gallery._wrapped("rgb_to_lab(x): colors", 300, font) == "rgb_to_lab(x): colors"
+
+
 def test_the_largest_page_has_less_than_a_megabyte(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """At the size of its pictures, which the other tests of this file reduce, and legible."""
     pytest.importorskip("skimage")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from io import BytesIO
@@ -132,14 +133,17 @@ def _section(section: Section) -> Image.Image:
 
 
 def _wrapped(text: str, width: int, font: ImageFont.FreeTypeFont | ImageFont.ImageFont) -> str:
-    """The text in lines that are no wider than a column."""
+    """The text in lines that are no wider than a column; what is wider is broken behind underscores."""
     lines: list[str] = []
     for word in text.split():
-        longer = f"{lines[-1]} {word}" if lines else word
-        if lines and font.getlength(longer) <= width:
-            lines[-1] = longer
-        else:
-            lines.append(word)
+        joint = " "
+        for part in [word] if font.getlength(word) <= width else re.findall("[^_]*_|[^_]+$", word):
+            longer = lines[-1] + joint + part if lines else part
+            if lines and font.getlength(longer) <= width:
+                lines[-1] = longer
+            else:
+                lines.append(part)
+            joint = ""
     return "\n".join(lines)
 
 

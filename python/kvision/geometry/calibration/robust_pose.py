@@ -42,8 +42,9 @@ def solve_pnp_ransac(
 
     Each of `max_samples` hypotheses is the pose of three points that sees a fourth one best (:func:`solve_p3p`). The best one by
     the loss of MAGSAC++ is refined with the weights of sigma-consensus++. All problems are solved at once, and nothing waits for
-    the device. Gradients of the pose are those of the least weighted error. With 30, 50 and 70% wrong correspondences the errors of
-    rotations are .98 to 1.02 of those that OpenCV's USAC_MAGSAC has after solvePnPRefineLM (`python -m benchmarks.robust_fits`).
+    the device. Gradients of the pose are those of the least weighted error, with weights that count as constants: some percent from
+    the differences of the whole. With 30, 50 and 70% wrong correspondences of synthetic scenes the median errors of rotations are
+    .98 to 1.02 of those that OpenCV's USAC_MAGSAC has after solvePnPRefineLM (`python -m benchmarks.robust_fits`).
 
     Args:
         world_points: (B, N, 3), float32 or float64, at least four.

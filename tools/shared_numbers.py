@@ -70,6 +70,8 @@ CONSTANTS = (
     ("RANSAC_DEVIATIONS", "kDeviations", "geometry/ransac.h"),
     ("LINE_WIDTH", "kLineWidth", "geometry/residuals.h"),
     ("LINE_WIDTH_64", "kLineWidth64", "geometry/residuals.h"),
+    ("NOISE_ROUNDS", "kNoiseRounds", "geometry/solvers/two_view_fits.h"),
+    ("FREEDOM", "kFreedom", "geometry/solvers/two_view_fits.h"),
     ("RED_POSITIONS", "kRedPositions", "color/raw_op.cpp"),
     ("CORNER_REACH", "kWindowReach", "feature/responses.h"),
     ("FINE_REACH", "kFineReach", "feature/responses.h"),

@@ -15,6 +15,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from kvision._limits import FREEDOM, NOISE_ROUNDS
 from kvision._modes import MODEL, MODEL_NAMES
 from kvision._ops import register
 from kvision.geometry._correspondence_errors import correspondence_errors
@@ -27,10 +28,6 @@ from kvision.geometry.solvers.affine import affine_of
 from kvision.geometry.solvers.null_vector import eigenvectors
 
 _STEPS = 3  # of Newton's method on the manifold of a model; each doubles the correct digits
-_FREEDOM, _NOISE_ROUNDS = (
-    7,
-    2,
-)  # of fits that adapt: numbers of a fundamental matrix; rounds that estimate the noise alone
 
 # [e_k]x of the three axes.
 _GENERATORS = (
@@ -273,13 +270,13 @@ def _adapted_fits(
         ratio = odds * (-e / (2 * variance)).exp()
         s = torch.where(e < 4 * limit, w * (ratio / (1 + ratio)), 0)
         right, squares = ((x / mean_weight).sum(-1, keepdim=True) for x in (s, s * e.nan_to_num(0.0, 0.0)))
-        is_better = right > _FREEDOM
+        is_better = right > FREEDOM
         best = torch.where(is_better[..., None], models, best)
         score = torch.where(is_better, right, score)
         if i == rounds:
             break
-        variance = (squares / (right - _FREEDOM).clamp(min=1)).clamp(1e-6 * limit, limit / 4)
-        following = fit(models, s) if i >= _NOISE_ROUNDS else models
+        variance = (squares / (right - FREEDOM).clamp(min=1)).clamp(1e-6 * limit, limit / 4)
+        following = fit(models, s) if i >= NOISE_ROUNDS else models
         models = torch.where(is_better[..., None], following, torch.nan)
     return best, score[..., 0]
 

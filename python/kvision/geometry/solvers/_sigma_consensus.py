@@ -17,6 +17,7 @@ import torch
 from torch import Tensor
 
 from kvision._ops import is_compiling
+from kvision._torch_compat import in_function_transform
 
 _QUANTILE = 11.345  # 99% of the squared norms of three normal numbers are below
 END = _QUANTILE / 2
@@ -57,7 +58,8 @@ def rising_fits(
             best_score = torch.where(is_better, score, best_score)
             best = torch.where(is_better[..., None, None], models, best)
             best_errors = torch.where(is_better[..., None], e, best_errors)
-        if i == rounds or (score.is_cpu and not is_compiling() and not bool(rises.any())):
+        has_values = score.is_cpu and not is_compiling() and not in_function_transform()
+        if i == rounds or (has_values and not bool(rises.any())):
             break
         models = fit(models, w if factors is None else w * factors)
     return best, best_score, best_errors

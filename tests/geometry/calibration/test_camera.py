@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
 import kvision as K
-from kvision.geometry.calibration._lenses import distorted, distorted_with_jacobians
+from kvision.geometry.calibration._lenses import projected, projected_with_jacobians
 from kvision.geometry.calibration.camera import _BoardError
 from kvision.geometry.liegroup import Se3, So3
 from kvision.geometry.optim import least_squares
@@ -37,7 +39,7 @@ def views(
     turn = Se3.exp(torch.cat([torch.zeros(batch, views, 3, dtype=F64), 0.5 * uniform(batch, views, 3)], -1))
     shift = torch.tensor([0.08, 0.08, 0.1]) * uniform(batch, views, 1, 3) + torch.tensor([0.0, 0.0, 0.42])
     p = (turn[:, :, None] * board).detach() + shift
-    image = distorted(model, (p[..., :2] / p[..., 2:]).flatten(1, 2), LENSES[model][:count].expand(batch, count))
+    image = projected(model, p.flatten(1, 2), LENSES[model][:count].expand(batch, count))
     pixels = image.unflatten(1, (views, 42)) * torch.tensor([600.0, 610.0]) + torch.tensor([322.0, 236.0])
     return board, pixels + noise * torch.randn(pixels.shape, generator=generator, dtype=F64)
 
@@ -69,15 +71,47 @@ def test_as_accurate_as_opencv(model: str, count: int, device: torch.device) -> 
 
 
 def test_jacobians_of_lenses(device: torch.device) -> None:
-    x = torch.randn(1, 9, 2, generator=torch.Generator().manual_seed(0), dtype=F64).mul(0.4).to(device)
+    """Of fisheye lenses also on the axis and near it, 90 degrees from it and beyond."""
+    p = torch.randn(1, 9, 3, generator=torch.Generator().manual_seed(0), dtype=F64) + torch.tensor([0.0, 0.0, 3.0])
+    far = torch.tensor([[[0.0, 0, 2], [1e-3, 0, 2], [0, 1e-9, 1], [1, -2, 0], [2, 1, -1], [0.1, 0.2, -0.5]]], dtype=F64)
     for model, k in LENSES.items():
-        k = k[None].to(device)
-        image, to_x, to_k = distorted_with_jacobians(model, x, k)
-        torch.testing.assert_close(image, distorted(model, x, k))
-        by_k = torch.func.jacfwd(lambda k, m=model: distorted(m, x, k))(k)
+        p, k = (p if model == "brown_conrady" else torch.cat([p, far], 1)).to(device), k[None].to(device)
+        image, to_point, to_k = projected_with_jacobians(model, p, k)
+        torch.testing.assert_close(image, projected(model, p, k))
+        by_k = torch.func.jacfwd(lambda k, m=model, p=p: projected(m, p, k))(k)
         torch.testing.assert_close(to_k, by_k[..., 0, :], rtol=1e-9, atol=1e-12)
-        by_x = torch.func.vmap(torch.func.jacfwd(lambda x, m=model, k=k: distorted(m, x[None, None], k)[0, 0]))(x[0])
-        torch.testing.assert_close(to_x[0], by_x, rtol=1e-9, atol=1e-12)
+        by_p = torch.func.vmap(torch.func.jacfwd(lambda p, m=model, k=k: projected(m, p[None, None], k)[0, 0]))(p[0])
+        torch.testing.assert_close(to_point[0], by_p, rtol=1e-8, atol=1e-11)
+
+
+@pytest.mark.parametrize("widest", [89.9, 95, pytest.param(115, marks=pytest.mark.slow)])
+def test_fisheye_lenses_see_behind_the_camera(widest: float, device: torch.device) -> None:
+    """Boards up to an angle from the axis, in a lens of another focal length than the start takes it to have."""
+    generator = torch.Generator().manual_seed(0)
+    board = torch.cartesian_prod(torch.arange(9.0), torch.arange(7.0)).to(F64) - torch.tensor([4.0, 3.0])
+    board = torch.cat([board, torch.zeros(63, 1, dtype=F64)], -1)
+    k, views, seen = torch.tensor([-0.03, 0.006, -0.002, 0.0001], dtype=F64), [], 0.0
+    while len(views) < 10:  # boards that face the camera, turned a little
+        u = torch.rand(6, generator=generator, dtype=F64)
+        tilt, direction = math.radians(widest - 30) * u[0].sqrt(), 2 * math.pi * u[1]
+        axis = torch.stack([-direction.sin(), direction.cos(), torch.zeros((), dtype=F64)]) * tilt
+        R = So3.exp(axis[None]).matrix()[0] @ So3.exp(0.6 * (2 * u[None, 3:] - 1)).matrix()[0]
+        p = (board @ R.mT).detach() + 6 * So3.exp(axis[None]).matrix()[0, :, 2]
+        angle = torch.atan2(p[:, :2].norm(dim=1), p[:, 2])
+        if angle.max() < math.radians(widest):
+            radius = angle * (1 + sum(c * angle ** (2 * i + 2) for i, c in enumerate(k)))
+            views.append(p[:, :2] / p[:, :2].norm(dim=1, keepdim=True) * radius[:, None] * 230 + 300)
+            seen = max(seen, math.degrees(angle.max().item()))
+    assert seen > widest - 8
+    pixels = torch.stack(views)[None]
+    pixels = pixels + 0.1 * torch.randn(pixels.shape, generator=generator, dtype=F64)
+    X = board.expand(1, 10, 63, 3)
+    fit = K.geometry.calibrate_camera(X.to(device), pixels.to(device), (600, 640), model="kannala_brandt")
+    assert fit.converged.all() and 0.12 < fit.rms.item() < 0.15  # the root of twice the variance
+    deviation = fit.covariance[0].diagonal().sqrt()
+    found = torch.cat([fit.camera_matrix[0, [0, 1, 0, 1], [0, 1, 2, 2]], fit.dist[0]]).cpu()
+    truth = torch.cat([torch.tensor([230.0, 230, 300, 300]), k])
+    assert ((found - truth).abs() < 4 * deviation.cpu()).all()
 
 
 @pytest.mark.derivatives

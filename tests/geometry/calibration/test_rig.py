@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 import kvision as K
-from kvision.geometry.calibration._lenses import distorted
+from kvision.geometry.calibration._lenses import projected
 from kvision.geometry.calibration.rig import _RigError
 from kvision.geometry.liegroup import Se3
 
@@ -30,7 +30,7 @@ def views(model: str = "brown_conrady", cameras: int = 2, count: int = 8, noise:
     seen = []
     for motion, camera in zip(torch.tensor(RIG, dtype=F64)[:cameras], torch.tensor(CAMERAS, dtype=F64)):
         q = (Se3.exp(motion[None]) * p.reshape(1, -1, 3)).detach()
-        image = distorted(model, q[..., :2] / q[..., 2:], torch.tensor([LENSES[model]], dtype=F64))
+        image = projected(model, q, torch.tensor([LENSES[model]], dtype=F64))
         seen.append((camera[:2] * image + camera[2:]).reshape(1, count, 42, 2))
     pixels = torch.stack(seen, 1)
     return board, pixels + noise * torch.randn(pixels.shape, generator=generator, dtype=F64)

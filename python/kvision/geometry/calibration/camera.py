@@ -12,18 +12,14 @@ from torch import Tensor
 from kvision import _check
 from kvision.core.exceptions import ShapeError, ValueCheckError
 from kvision.geometry._intrinsics import camera_matrix_of
-from kvision.geometry.calibration._lenses import (
-    COUNTS,
-    LensModel,
-    distorted,
-    distorted_with_jacobians,
-    undistorted_equidistant,
-)
+from kvision.geometry._normalization import normalized
+from kvision.geometry.calibration._lenses import COUNTS, LensModel, projected, projected_with_jacobians, rays
 from kvision.geometry.homography.dlt import find_homography_dlt
 from kvision.geometry.liegroup import Se3, So3
 from kvision.geometry.liegroup.so3 import skew
 from kvision.geometry.optim import LeastSquaresResult, least_squares
 from kvision.geometry.optim._losses import RobustLoss
+from kvision.geometry.solvers.null_vector import null_vector
 
 __all__ = ["CameraCalibration", "calibrate_camera"]
 
@@ -74,10 +70,9 @@ class _BoardError:
         self.model, self.points, self.pixels = model, points, pixels.flatten(1, 2)
         self.root = None if weights is None else torch.where(weights > 0, weights, 0).sqrt()[..., None]
 
-    def _projected(self, variables: dict[str, Any]) -> tuple[Tensor, Tensor]:
+    def _in_camera(self, variables: dict[str, Any]) -> Tensor:
         pose = variables["pose"]
-        p = pose * self.points.flatten(1, 2) if self.root is None else (pose[:, :, None] * self.points).flatten(1, 2)
-        return p, p[..., :2] / p[..., 2:]
+        return pose * self.points.flatten(1, 2) if self.root is None else (pose[:, :, None] * self.points).flatten(1, 2)
 
     def _error(self, image: Tensor, camera: Tensor) -> Tensor:
         return self._blocks(camera[:, None, :2] * image + camera[:, None, 2:] - self.pixels)
@@ -91,17 +86,15 @@ class _BoardError:
         return torch.where(root > 0, root * x.unflatten(1, self.root.shape[1:3]), 0).flatten(2, 3)
 
     def __call__(self, variables: dict[str, Any]) -> Tensor:
-        _, x = self._projected(variables)
-        return self._error(distorted(self.model, x, variables["dist"]), variables["camera"])
+        p = self._in_camera(variables)
+        return self._error(projected(self.model, p, variables["dist"]), variables["camera"])
 
     def with_jacobian(self, variables: dict[str, Any]) -> tuple[Tensor, dict[str, Tensor]]:
-        p, x = self._projected(variables)
-        camera = variables["camera"]
-        image, to_x, to_dist = distorted_with_jacobians(self.model, x, variables["dist"])
+        p, camera = self._in_camera(variables), variables["camera"]
+        image, to_point, to_dist = projected_with_jacobians(self.model, p, variables["dist"])
         focal = camera[:, None, :2, None]
-        to_x = focal * to_x / p[..., 2:, None]
-        to_point = torch.cat([to_x, -(to_x @ x[..., None])], -1)
-        one = torch.eye(2, dtype=x.dtype, device=x.device).expand(*x.shape, 2)
+        to_point = focal * to_point
+        one = torch.eye(2, dtype=p.dtype, device=p.device).expand(*image.shape, 2)
         jacobian = {
             "camera": torch.cat([torch.diag_embed(image), one], -1),
             "dist": focal * to_dist,
@@ -125,8 +118,8 @@ def calibrate_camera(
 
     The start is Zhang's, with the principal point at the center of the image; :func:`optim.least_squares` refines it. Gradients
     reach the points and the weights by the implicit function theorem. Views that are parallel to the image, or a single one, do not
-    tell the focal lengths: `covariance` is then NaN or large. Points 90 degrees or more from the axis are not on the plane z = 1,
-    where lenses are defined: give them weight 0.
+    tell the focal lengths: `covariance` is then NaN or large. Brown and Conrady's lenses see nothing 90 degrees from the axis,
+    those of Kannala and Brandt also what is behind that; the start takes their image to be as wide as it sees 180 degrees.
 
     Args:
         object_points: points of the target (B, V, N, 3) with z = 0, in any unit, floating point.
@@ -244,13 +237,14 @@ def _start(
     offset = pixels - center
     if model == "kannala_brandt":
         focal = torch.full_like(pixels[:, 0, 0], max(height, width) / torch.pi)
-        offset = undistorted_equidistant(offset / focal[:, None, None])
-        H = homographies_of_views(X, offset, weights)
-    else:
-        H = homographies_of_views(X, offset, weights)
-        focal = _focal_lengths(H, weights.sum(-1) > 0, float(max(height, width)))
-        H = H / torch.cat([focal, torch.ones_like(focal[:, :1])], -1)[:, None, :, None]
-    rotation, translation = poses_of_homographies(H)
+        camera = torch.cat([focal, center.expand_as(focal)], -1)
+        seen = rays(model, pixels.flatten(1, 2), camera, pixels.new_zeros(len(X), 4))
+        return (camera, *poses_of_homographies(homographies_of_rays(X, seen.unflatten(1, X.shape[1:3]), weights)))
+    H = homographies_of_views(X, offset, weights)
+    focal = _focal_lengths(H, weights.sum(-1) > 0, float(max(height, width)))
+    rotation, translation = poses_of_homographies(
+        H / torch.cat([focal, torch.ones_like(focal[:, :1])], -1)[:, None, :, None]
+    )
     return torch.cat([focal, center.expand_as(focal)], -1), rotation, translation
 
 
@@ -263,6 +257,22 @@ def homographies_of_views(X: Tensor, x: Tensor, weights: Tensor) -> Tensor:
     if count < 4:
         return x.new_full((batch, views, 3, 3), torch.nan)
     H = find_homography_dlt(plane, image, used.flatten(0, 1).to(x.dtype)).unflatten(0, (batch, views))
+    H = torch.where(H[..., 2:, 2:] < 0, -H, H)  # in front of the camera
+    return torch.where((used.sum(-1) >= 4)[..., None, None], H, torch.nan)
+
+
+def homographies_of_rays(X: Tensor, seen: Tensor, weights: Tensor) -> Tensor:
+    """Homographies (B, V, 3, 3) from targets to unit vectors (B, V, N, 3) to their points; NaN with fewer than four points."""
+    used = (weights > 0) & seen.isfinite().all(-1)
+    plane = torch.where(used[..., None], X[..., :2], 0).flatten(0, 1)
+    ray = torch.where(used[..., None], seen, 0).flatten(0, 1)
+    w = used.flatten(0, 1).to(X.dtype)
+    plane, T = normalized(plane, w)
+    target = torch.nn.functional.pad(plane, (0, 1), value=1.0)
+    rows = (skew(ray)[..., None] * target[..., None, None, :]).flatten(-2).flatten(1, 2)  # of ray x (H target) = 0
+    H = null_vector(rows, w.repeat_interleave(3, 1)).unflatten(-1, (3, 3))
+    along = (w * (ray * (target @ H.mT)).sum(-1)).sum(1)[:, None, None]
+    H = (torch.where(along < 0, -H, H) @ T).unflatten(0, weights.shape[:2])
     return torch.where((used.sum(-1) >= 4)[..., None, None], H, torch.nan)
 
 
@@ -283,10 +293,9 @@ def _focal_lengths(H: Tensor, is_used: Tensor, size: float) -> Tensor:
 
 
 def poses_of_homographies(H: Tensor) -> tuple[Tensor, Tensor]:
-    """Rotations and translations of targets in front of the camera, from homographies [r1 r2 t] up to scale."""
+    """Rotations and translations of targets, from homographies [r1 r2 t] up to a positive factor."""
     a, b, t = H.unbind(-1)
-    scale = 2 / (torch.linalg.vector_norm(a, dim=-1) + torch.linalg.vector_norm(b, dim=-1))
-    scale = torch.where(t[..., 2] < 0, -scale, scale)[..., None]
+    scale = (2 / (torch.linalg.vector_norm(a, dim=-1) + torch.linalg.vector_norm(b, dim=-1)))[..., None]
     a, b, t = a * scale, b * scale, t * scale
     half, rest = torch.nn.functional.normalize(a + b, dim=-1), torch.nn.functional.normalize(a - b, dim=-1)
     rest = torch.nn.functional.normalize(rest - (half * rest).sum(-1, keepdim=True) * half, dim=-1)

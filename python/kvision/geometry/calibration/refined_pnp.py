@@ -108,7 +108,7 @@ def _planar_starts(X: Tensor, x: Tensor, used: Tensor) -> tuple[Tensor, Tensor]:
     first = torch.nn.functional.normalize(torch.linalg.cross(normal, other), dim=-1)
     basis = torch.stack([first, torch.linalg.cross(normal, first), normal], 1)  # rows: from world to plane
     H = find_homography_dlt((offset @ basis.mT)[..., :2], x, used)
-    rotation, t = poses_of_homographies(H)
+    rotation, t = poses_of_homographies(torch.where(H[..., 2:, 2:] < 0, -H, H))  # in front of the camera
     R = rotation @ basis
     sight = torch.nn.functional.normalize(t, dim=-1)
     mirrored = _mirror(sight) @ R @ _mirror(normal)

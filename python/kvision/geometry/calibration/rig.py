@@ -12,11 +12,11 @@ from torch import Tensor
 from kvision import _check
 from kvision.core.exceptions import ShapeError
 from kvision.geometry._intrinsics import camera_matrix_of
-from kvision.geometry.calibration._lenses import LensModel, distorted, distorted_with_jacobians, undistorted
+from kvision.geometry.calibration._lenses import LensModel, projected, projected_with_jacobians, rays
 from kvision.geometry.calibration.camera import (
     calibrate_camera,
     covariance_of,
-    homographies_of_views,
+    homographies_of_rays,
     poses_of_homographies,
     poses_where,
 )
@@ -106,20 +106,18 @@ class _RigError:
     def __call__(self, variables: dict[str, Any]) -> Tensor:
         _, p, _ = self._in_cameras(variables)
         camera, dist = self._intrinsics(variables)
-        x = p[..., :2] / p[..., 2:]
-        return self._error(distorted(self.model, x.flatten(0, 1), dist.flatten(0, 1)).view_as(x), camera)
+        image = projected(self.model, p.flatten(0, 1), dist.flatten(0, 1))
+        return self._error(image.unflatten(0, p.shape[:2]), camera)
 
     def with_jacobian(self, variables: dict[str, Any]) -> tuple[Tensor, dict[str, Tensor]]:
         first, p, R = self._in_cameras(variables)
         camera, dist = self._intrinsics(variables)
-        x = p[..., :2] / p[..., 2:]
-        parts = distorted_with_jacobians(self.model, x.flatten(0, 1), dist.flatten(0, 1))
-        image, to_x, to_dist = (part.unflatten(0, x.shape[:2]) for part in parts)
+        parts = projected_with_jacobians(self.model, p.flatten(0, 1), dist.flatten(0, 1))
+        image, to_point, to_dist = (part.unflatten(0, p.shape[:2]) for part in parts)
         focal = camera[..., None, :2, None]
-        to_x = focal * to_x / p[..., 2:, None]
-        to_point = torch.cat([to_x, -(to_x @ x[..., None])], -1)
+        to_point = focal * to_point
         to_first = to_point @ R[:, :, None]
-        one = torch.eye(2, dtype=x.dtype, device=x.device).expand(*x.shape, 2)
+        one = torch.eye(2, dtype=p.dtype, device=p.device).expand(*image.shape, 2)
         jacobian = {
             "camera": torch.cat([torch.diag_embed(image), one], -1),
             "dist": focal * to_dist,
@@ -259,8 +257,8 @@ def _start(
     start: dict[str, Any] = {}
     with torch.no_grad():
         if given:
-            plane = undistorted(model, x.flatten(1, 2), *(given[name].flatten(0, 1) for name in ("camera", "dist")))
-            R, t = poses_of_homographies(homographies_of_views(every, plane.view_as(x), w))
+            seen = rays(model, x.flatten(1, 2), *(given[name].flatten(0, 1) for name in ("camera", "dist")))
+            R, t = poses_of_homographies(homographies_of_rays(every, seen.unflatten(1, x.shape[1:3]), w))
             poses = Rt_to_matrix4x4(R, t[..., None])
         else:
             alone = calibrate_camera(every, x, image_size, w, model, num_coefficients)

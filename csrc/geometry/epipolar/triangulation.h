@@ -14,7 +14,8 @@ struct Triangulate {
   Reals points1, points2;            // (B, N, 2)
   Reals projections1, projections2;  // (B, 3, 4)
   int64_t batch, count;
-  double min_weight;  // |w| below this fraction of a homogeneous point's length is 0: the point is at infinity
+  double min_weight;  // |w| below this fraction of a homogeneous point's length is 0: the point is at infinity; of the
+                      // terms of a projection, that of the other center: the cameras have no baseline
   Reals points;       // (B, N, 3)
   // For the gradient only:
   int64_t chunk_size;                                      // points of a chunk
@@ -45,12 +46,37 @@ KV_HD void equation_matrix(double const (*pixels)[2], double const (*projections
     }
 }
 
-// The point that both projections (3, 4) take to `pixels`, (x, y) of each image. NaN where it is at infinity.
+// Whether the second camera projects the center of the first, which is orthogonal to the rows of its projection.
+KV_HD bool has_baseline(double const (*projections)[12], double min_weight) {
+  double const* const P = projections[0];
+  double center[4];
+  for (int k = 0; k < 4; ++k) {
+    double minor[3][3];
+    for (int i = 0; i < 3; ++i)
+      for (int j = 0; j < 3; ++j) minor[i][j] = P[4 * i + j + (j >= k)];
+    double normal[3];
+    cross3(minor[1], minor[2], normal);
+    center[k] = (k % 2 ? -1 : 1) * dot3(minor[0], normal);
+  }
+  bool has_baseline = false;
+  for (int i = 0; i < 3; ++i) {
+    double sum = 0, size = 0;
+    for (int k = 0; k < 4; ++k) {
+      double const term = projections[1][4 * i + k] * center[k];
+      sum += term, size += magnitude(term);
+    }
+    has_baseline = has_baseline || magnitude(sum) > min_weight * size;
+  }
+  return has_baseline;
+}
+
+// The point that both projections (3, 4) take to `pixels`, (x, y) of each image. NaN where it is at infinity, and
+// without a baseline.
 KV_HD void triangulate(double const (*pixels)[2], double const (*projections)[12], double min_weight, double* point) {
   double m[16], v[4];
   equation_matrix(pixels, projections, m);
   smallest_eigenvector<4>(m, v);
-  bool const is_defined = magnitude(v[3]) > min_weight;
+  bool const is_defined = magnitude(v[3]) > min_weight && has_baseline(projections, min_weight);
   for (int k = 0; k < 3; ++k) point[k] = is_defined ? v[k] / v[3] : nan();
 }
 
@@ -61,7 +87,7 @@ KV_HD void triangulate_vjp(double const (*pixels)[2], double const (*projections
   equation_matrix(pixels, projections, m);
   for (int k = 0; k < 16; ++k) copy[k] = m[k];
   smallest_eigenvector<4>(copy, v);
-  bool const is_defined = magnitude(v[3]) > min_weight;
+  bool const is_defined = magnitude(v[3]) > min_weight && has_baseline(projections, min_weight);
   grad_v[3] = 0;
   for (int k = 0; k < 3; ++k) grad_v[k] = g[k] / v[3], grad_v[3] -= grad_v[k] * v[k] / v[3];
   if (is_defined) smallest_eigenvector_vjp<4>(m, v, grad_v, u);

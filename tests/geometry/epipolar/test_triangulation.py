@@ -34,6 +34,22 @@ def test_points_at_infinity(device):
     assert_close(result[1], torch.tensor([2.0, 1, 4], device=device), 1e-5, 1e-5)
 
 
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=str)
+def test_cameras_without_a_baseline(dtype, device):
+    """The same camera twice, or turned about its center, of the first and third pairs; the others tell distances."""
+    scene = Scene(4, 20, noise=0.5)
+    x1, x2 = (v.to(device, dtype) for v in (scene.x1, scene.x2))
+    P1, P2 = (P.expand(4, 3, 4).to(device, dtype).clone() for P in (scene.P1, scene.P2))
+    turned = G.liegroup.So3.exp(torch.tensor([0.1, -0.2, 0.3]).double()).matrix().to(device, dtype)
+    P2[0], P2[2] = P1[0], turned @ P1[2]
+    x2[0, :10] = x1[0, :10]
+    backends = [finite_gradients(lambda *x: G.triangulate_points(*x), P1, P2, x1, x2)]
+    with K.backend("reference"):
+        backends.append(G.triangulate_points(P1, P2, x1, x2))
+    for X in (*backends, G.triangulate_points(P1, P2, x1, x2, homogeneous=True)):
+        assert X[::2].isnan().all() and X[1::2].isfinite().all()
+
+
 def test_homogeneous_points(device):
     """cv2.triangulatePoints up to the sign, which tells the side of the first camera; points at infinity have gradients."""
     scene = Scene(1, 40, noise=0.5)

@@ -14,7 +14,7 @@ from kvision._leading import broadcast_shapes
 from kvision._ops import register
 from kvision.core.exceptions import ShapeError
 from kvision.geometry._precision import in_full_precision
-from kvision.geometry.solvers.null_vector import null_vector
+from kvision.geometry.solvers.null_vector import null_vector, null_vector_3x4
 
 __all__ = ["triangulate_points"]
 
@@ -38,7 +38,8 @@ def triangulate_points(
 
     Returns:
         (*, N, 3). NaN, without a gradient, for points at infinity. With `homogeneous` (*, N, 4) of length 1, with the sign with
-        which they are in front of the first camera, and so w is negative for points behind it.
+        which they are in front of the first camera, and so w is negative for points behind it. NaN if both cameras have the
+        same center, from which no distance can be told.
 
     Raises:
         TypeCheckError: a tensor is not a floating-point tensor; `homogeneous` is not a bool.
@@ -79,7 +80,8 @@ def triangulate_points(
     if homogeneous:
         X = _homogeneous(x1, x2, P1, P2)
         depth = (X.detach() * P1.detach()[:, None, 2]).sum(-1, keepdim=True)
-        return torch.where(depth < 0, -X, X).to(x1.dtype).reshape(*leading, count[0], 4)
+        signed = torch.where(depth < 0, -X, X).to(x1.dtype)
+        return torch.where(_has_baseline(P1, P2), signed, torch.nan).reshape(*leading, count[0], 4)
     return triangulated(x1, x2, P1, P2).reshape(*leading, count[0], 3)
 
 
@@ -91,12 +93,24 @@ def _homogeneous(x1: Tensor, x2: Tensor, P1: Tensor, P2: Tensor) -> Tensor:
     return null_vector(torch.cat(rows, -2))
 
 
+def _smallest(dtype: torch.dtype) -> float:
+    """What counts as 0, of numbers around 1."""
+    return 1e-13 + 4 * torch.finfo(dtype).eps
+
+
+def _has_baseline(P1: Tensor, P2: Tensor) -> Tensor:
+    """Whether the second cameras of projections (B, 3, 4) project the centers of the first, (B, 1, 1)."""
+    terms = promoted(P2.detach()) * null_vector_3x4(promoted(P1.detach()))[..., None, :]
+    is_seen = terms.sum(-1).abs() > _smallest(P1.dtype) * terms.abs().sum(-1)
+    return is_seen.any(-1)[:, None, None]
+
+
 def _reference(x1: Tensor, x2: Tensor, P1: Tensor, P2: Tensor) -> Tensor:
     """Points in space (B, N, 3) from image points (B, N, 2) and projections (B, 3, 4)."""
     X = _homogeneous(x1, x2, P1, P2)
     w = X[..., 3:]
-    infinite = w.detach().abs() <= 1e-13 + 4 * torch.finfo(x1.dtype).eps
-    return torch.where(infinite, torch.nan, X[..., :3] / torch.where(infinite, 1, w)).to(x1.dtype)
+    is_undefined = (w.detach().abs() <= _smallest(x1.dtype)) | ~_has_baseline(P1, P2)
+    return torch.where(is_undefined, torch.nan, X[..., :3] / torch.where(is_undefined, 1, w)).to(x1.dtype)
 
 
 def _backward_reference(grad: Tensor, *arguments: Tensor) -> tuple[Tensor, ...]:

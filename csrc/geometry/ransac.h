@@ -147,7 +147,8 @@ KV_HD void select_pair(Selection<T> const& p, int64_t b, Group group) {
     m[k] = p.models[9 * b + k];
     largest = max(largest, small::magnitude(m[k])), square += m[k] * m[k];
   }
-  double counts[7] = {};  // inliers, correspondences, and the first and second moments of the inliers' first points
+  using Points = Moments<2>;
+  double sums[Points::kCount + 1] = {};  // moments of the inliers' first points, or their number; and correspondences
   for (int64_t i = group.thread_rank(); i < p.count; i += group.num_threads()) {
     int64_t const at = b * p.count + i;
     bool const exists = !p.weights.data || p.weights[at] > 0;
@@ -155,18 +156,13 @@ KV_HD void select_pair(Selection<T> const& p, int64_t b, Group group) {
     for (int k = 0; k < numbers; ++k) one[k] = p.points1[at * numbers + k], two[k] = p.points2[at * numbers + k];
     bool const is_inlier = exists && squared_error<double>(p.model, m, one, two) <= threshold * threshold;
     p.inliers[at] = is_inlier;
-    counts[0] += is_inlier, counts[1] += exists;
-    if (!is_inlier || p.model > Model::homography) continue;
-    counts[2] += one[0], counts[3] += one[1];
-    counts[4] += one[0] * one[0], counts[5] += one[0] * one[1], counts[6] += one[1] * one[1];
+    sums[Points::kCount] += exists;
+    if (!is_inlier) continue;
+    p.model > Model::homography ? void(++sums[0]) : Points::add(one, sums);
   }
-  double const* const sums = group.sums(counts);
-  double const n = max(sums[0], 1.), x = sums[2] / n, y = sums[3] / n;
-  double const a = sums[4] / n - x * x, c = sums[5] / n - x * y, d = sums[6] / n - y * y;
-  double const width = p.points1.is_double ? kLineWidth64 : kLineWidth;
-  bool const is_spread =
-      p.model > Model::homography || a * d - c * c > (a + d) * (width * width) * ((sums[4] + sums[6]) / n);
-  bool const has_model = is_spread && sums[0] > max(min(sums[1] - 1, double(size)), 0.);
+  double const* const all = group.sums(sums);
+  bool const is_spread = p.model > Model::homography || !Points::are_on_line(all, p.points1.is_double);
+  bool const has_model = is_spread && all[0] > max(min(all[Points::kCount] - 1, double(size)), 0.);
   if (!has_model)
     for (int64_t i = group.thread_rank(); i < p.count; i += group.num_threads()) p.inliers[b * p.count + i] = false;
   double const last = small::magnitude(m[8]) > 1e-12 * largest ? m[8] : largest;

@@ -11,6 +11,33 @@ namespace kv::geometry {
 // them, and of float64, whose moments are sums.
 constexpr double kLineWidth = 1.2e-7, kLineWidth64 = 3e-8;
 
+// Of points with D coordinates: their number, the sums of coordinates, and those of products of two.
+template <int D>
+struct Moments {
+  static constexpr int kCount = 1 + D + D * (D + 1) / 2;
+
+  static KV_HD void add(double const* x, double* sums) {
+    sums[0] += 1;
+    for (int i = 0, at = 1 + D; i < D; ++i) {
+      sums[1 + i] += x[i];
+      for (int k = i; k < D; ++k) sums[at++] += x[i] * x[k];
+    }
+  }
+  // Whether the points are on one line: their second largest variance is small.
+  static KV_HD bool are_on_line(double const* sums, bool is_double) {
+    double const n = max(sums[0], 1.), width = is_double ? kLineWidth64 : kLineWidth;
+    double variances[D][D], total = 0, size = 0, area = 0;
+    for (int i = 0, at = 1 + D; i < D; ++i) {
+      size += sums[at] / n;
+      for (int k = i; k < D; ++k) variances[i][k] = sums[at++] / n - sums[1 + i] / n * (sums[1 + k] / n);
+      total += variances[i][i];
+    }
+    for (int i = 0; i < D; ++i)
+      for (int k = i + 1; k < D; ++k) area += variances[i][i] * variances[k][k] - variances[i][k] * variances[i][k];
+    return !(area > total * (width * width) * size);
+  }
+};
+
 // H (x, y, 1).
 template <class V, class F>
 struct Mapped {

@@ -125,33 +125,15 @@ KV_HD double weigh(RobustPoses<T> const& p, int64_t b, double const* pose, Group
 // Whether the inliers are points on one line, about which the camera may turn. Threads ask for those that they set.
 template <class T, class Group>
 KV_HD bool are_on_line(RobustPoses<T> const& p, int64_t b, Group group) {
-  double moments[10] = {};  // count, sums, sums of products
+  double moments[Moments<3>::kCount] = {};
   for (int64_t i = group.thread_rank(); i < p.fit.count; i += group.num_threads()) {
     int64_t const at = b * p.fit.count + i;
     if (!p.inliers[at]) continue;
     double X[3];
     for (int k = 0; k < 3; ++k) X[k] = p.fit.points[3 * at + k];
-    moments[0] += 1;
-    for (int k = 0; k < 3; ++k) {
-      moments[1 + k] += X[k], moments[4 + k] += X[k] * X[k];
-      moments[7 + k] += X[k] * X[k == 2 ? 0 : k + 1];
-    }
+    Moments<3>::add(X, moments);
   }
-  double const* const sums = group.sums(moments);
-  double const n = max(sums[0], 1.);
-  double variance[3], total = 0, size = 0, area = 0;
-  for (int k = 0; k < 3; ++k) {
-    double const mean = sums[1 + k] / n;
-    variance[k] = sums[4 + k] / n - mean * mean;
-    total += variance[k], size += sums[4 + k] / n;
-  }
-  for (int k = 0; k < 3; ++k) {
-    int const j = k == 2 ? 0 : k + 1;
-    double const mixed = sums[7 + k] / n - sums[1 + k] / n * (sums[1 + j] / n);
-    area += variance[k] * variance[j] - mixed * mixed;
-  }
-  double const width = p.fit.points.is_double ? kLineWidth64 : kLineWidth;
-  return !(area > total * (width * width) * size);
+  return Moments<3>::are_on_line(group.sums(moments), p.fit.points.is_double);
 }
 
 }  // namespace robust_pose

@@ -9,7 +9,8 @@
 // be kept, or has less than half the best sum: after every kChunk correspondences its sum is further below what a model
 // of that sum has by then than chance explains, by kDeviations. Its scores are those so far.
 //
-// top_k_models selects the best of the models and of those kept so far, in lists, one for each pair of images.
+// top_k_models selects the best of the models and of those kept so far, in lists, one for each pair of images, and
+// tells how many samples are required before the best of a pair has the requested confidence.
 //
 // select_inliers finds the inliers of the final model of each pair.
 //
@@ -62,7 +63,12 @@ struct TopKModels {
   KeptModels<T> kept;        // which rank behind equal ones
   int64_t batch, num_models, top_k;
   bool by_count;
+  T const* counts;  // (B): correspondences that exist
+  int sample_size;
+  double log_failure;          // log(1 - confidence)
+  int64_t budget;              // the most samples
   T *top_models, *top_scores;  // (B, K, 9), (B, K, 2)
+  int64_t* required;           // (B)
 
   KV_HD int64_t size() const { return num_models + kept.count; }
   KV_HD T const* model_at(int64_t b, int64_t i) const {
@@ -93,6 +99,15 @@ struct TopKModels {
     T const *const model = model_at(b, src), *const score = scores_at(b, src);
     for (int k = 0; k < 9; ++k) top_models[9 * (b * top_k + rank) + k] = model[k];
     for (int k = 0; k < 2; ++k) top_scores[2 * (b * top_k + rank) + k] = score[k];
+    if (rank == 0) required[b] = required_samples(score[1], counts[b]);
+  }
+  // The number of samples among which one has only inliers with the requested confidence.
+  KV_HD int64_t required_samples(double inliers, double count) const {
+    if (count < sample_size) return 0;
+    double good = 1;
+    for (int i = 0; i < sample_size; ++i) good *= max(inliers - i, 0.) / (count - i);
+    double const samples = __builtin_ceil(log_failure / __builtin_log1p(-good));
+    return samples < double(budget) ? max(int64_t(samples), int64_t(1)) : budget;
   }
 };
 
@@ -114,19 +129,19 @@ KV_KERNEL(top_k_models, TopKModels)
 
 // The squared error of correspondences: points (x, y) of both images, or both ends of segments.
 template <class V, class T>
-KV_HD V squared_error(Model model, T const* m, V const* one, V const* two) {
+KV_HD Fraction<V> squared_error(Model model, T const* m, V const* one, V const* two) {
   if (model == Model::lines) {
     V const u = two[0], v = two[1], s = two[2], t = two[3];
     V const sum = line_error(m, one[0], one[1], u, v, s, t) + line_error(m, one[2], one[3], u, v, s, t);
-    return sum * sum / (((s - u) * (s - u) + (t - v) * (t - v)) * 4);
+    return {sum * sum, ((s - u) * (s - u) + (t - v) * (t - v)) * 4};
   }
-  return model <= Model::homography ? transfer_error(m, one[0], one[1], two[0], two[1])
-                                    : sampson_error(m, one[0], one[1], two[0], two[1]);
+  return model <= Model::homography ? transfer_fraction(m, one[0], one[1], two[0], two[1])
+                                    : sampson_fraction(m, one[0], one[1], two[0], two[1]);
 }
 
 // Those of pair b from i on; read(points) returns their coordinates, where `points` has the first of them.
 template <class V, class T, class Read>
-KV_HD V squared_error(Consensus<T> const& p, T const* m, int64_t b, int64_t i, Read read) {
+KV_HD Fraction<V> squared_error(Consensus<T> const& p, T const* m, int64_t b, int64_t i, Read read) {
   int64_t const start = b * (p.model == Model::lines ? 4 : 2) * p.count + i;
   T const *const x = p.points1 + start, *const y = p.points2 + start;
   V one[4] = {read(x), read(x + p.count)}, two[4] = {read(y), read(y + p.count)};
@@ -154,7 +169,7 @@ KV_HD void select_pair(Selection<T> const& p, int64_t b, Group group) {
     bool const exists = !p.weights.data || p.weights[at] > 0;
     double one[4], two[4];
     for (int k = 0; k < numbers; ++k) one[k] = p.points1[at * numbers + k], two[k] = p.points2[at * numbers + k];
-    bool const is_inlier = exists && squared_error<double>(p.model, m, one, two) <= threshold * threshold;
+    bool const is_inlier = exists && squared_error<double>(p.model, m, one, two).value() <= threshold * threshold;
     p.inliers[at] = is_inlier;
     sums[Points::kCount] += exists;
     if (!is_inlier) continue;

@@ -13,7 +13,7 @@ template <int N, class T>
 KV_HD void add_scores(Consensus<T> const& p, T const* m, int64_t b, int64_t i, Lanes<T, N>& score, Lanes<T, N>& count) {
   using V = Lanes<T, N>;
   T const t = p.squared_threshold(b);
-  V const none{}, e = squared_error<V>(p, m, b, i, [](T const* x) KV_INLINE { return load<N>(x); });
+  V const none{}, e = squared_error<V>(p, m, b, i, [](T const* x) KV_INLINE { return load<N>(x); }).value();
   score += e <= t ? V(1 - e * (1 / t)) : none;
   count += e <= t ? V(none + 1) : none;
 }

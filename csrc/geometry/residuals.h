@@ -53,12 +53,23 @@ KV_HD void mapped_vjp(double const* m, double x, double y, double const* g, doub
   }
 }
 
+// A squared error as a fraction.
+template <class V>
+struct Fraction {
+  V above, below;
+  KV_HD V value() const { return above / below; }
+};
+
 // The squared distance of the point that a homography maps (x, y) to, from (u, v).
 template <class V, class F>
-KV_HD V transfer_error(F const* m, V x, V y, V u, V v) {
+KV_HD Fraction<V> transfer_fraction(F const* m, V x, V y, V u, V v) {
   Mapped<V, F> const h(m, x, y);
   V const p = h.u - h.w * u, q = h.v - h.w * v;
-  return (p * p + q * q) / (h.w * h.w);
+  return {p * p + q * q, h.w * h.w};
+}
+template <class V, class F>
+KV_HD V transfer_error(F const* m, V x, V y, V u, V v) {
+  return transfer_fraction(m, x, y, u, v).value();
 }
 
 KV_HD void transfer_error_vjp(double const* m, double const* one, double const* two, double g, double* grad_one,
@@ -105,10 +116,14 @@ KV_HD void epipolar_vjp(double const* m, double const* one, double const* two, d
 
 // Sampson's distance, squared: that of both points from the nearest exact correspondence, to first order.
 template <class V, class F>
-KV_HD V sampson_error(F const* m, V x, V y, V u, V v) {
+KV_HD Fraction<V> sampson_fraction(F const* m, V x, V y, V u, V v) {
   V const one = V{} + 1;
   Epipolar<V, F> const l(m, x, y, one, u, v, one);
-  return l.r * l.r / (l.second() + l.first());
+  return {l.r * l.r, l.second() + l.first()};
+}
+template <class V, class F>
+KV_HD V sampson_error(F const* m, V x, V y, V u, V v) {
+  return sampson_fraction(m, x, y, u, v).value();
 }
 
 // Sampson's distance from a homography, squared: r (J J^T)^-1 r for r = (v w - q, p - u w), where (p, q, w) = H (x, y,

@@ -190,10 +190,11 @@ void results() {
   Tensor const points = from.transpose(1, 2).contiguous(), one = torch::eye(3).expand({2, 1, 3, 3});
   int64_t const homography = int64_t(kvision::ops::Model::homography);
   Tensor const none = torch::zeros({2, 1, 2}), small = torch::full({2}, 0.1f);
-  auto const [best, scores] =
-      kvision::ops::keep_best_models(one, points, points, 0 * one, none, small, 1, true, homography);
+  auto const [best, scores, required] = kvision::ops::keep_best_models(
+      one, points, points, 0 * one, none, small, torch::full({2}, 9.f), 1, true, homography, 0.99, 99);
   expect_close("keep_best_models", best, one);
   expect_close("keep_best_models, scores", scores, torch::full({2, 1, 2}, 9.f));
+  expect_close("keep_best_models, samples", required.to(torch::kFloat), torch::ones({2}));
   Tensor const pixels = points.to(torch::kDouble);
   auto const [fitted, sums] = kvision::ops::two_view_fits(one.to(torch::kDouble), pixels, pixels, {},
                                                           torch::full({2}, 0.1, torch::kDouble), 1, homography, false);

@@ -300,17 +300,34 @@ def test_best_models_are_the_references(model, dtype, device):
     models[0, 7, 1, 1] = float("nan")
     scores = torch.tensor([[[300.0, 310], [250, 333], [200, 201]], [[9, 8], [7, 9], [0, 0]]]).to(device, dtype)
     thresholds = torch.tensor([3.0, 2.5]).to(device, dtype)
-    whole, _ = _keep_best_models(models, x, y, kept, scores, thresholds, 43, False, MODEL[model])
+    existing = torch.tensor([333.0, 3]).to(device, dtype)
+    whole = _keep_best_models(models, x, y, kept, scores, thresholds, existing, 43, False, MODEL[model], 0.99, 99)[0]
     for count, by_count in ((1, False), (3, False), (3, True), (43, False)):
-        args = models, x, y, kept, scores, thresholds, count, by_count, MODEL[model]
+        args = models, x, y, kept, scores, thresholds, existing, count, by_count, MODEL[model], 0.99, 99
         result = _keep_best_models(*args)
         with K.backend("reference"):
             expected = _keep_best_models(*args)
         assert_close(result[1][..., 1], expected[1][..., 1])
         assert_close(result[1], expected[1], 1e-4, 1e-3)
-        assert torch.equal(result[0].nan_to_num(), expected[0].nan_to_num())
+        assert torch.equal(result[0].nan_to_num(), expected[0].nan_to_num()) and torch.equal(result[2], expected[2])
         if not by_count:
             assert torch.equal(result[0].nan_to_num(), whole[:, :count].nan_to_num())
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=str)
+def test_required_samples(dtype, device):
+    """Of kept models with known inliers: without any, with too few points, some, and all."""
+    scores = torch.tensor([0.0, 4, 30, 57, 99, 100]).to(device, dtype)[:, None, None].expand(-1, 1, 2)
+    existing = torch.tensor([100.0, 3, 100, 100, 100, 100]).to(device, dtype)
+    models, x = torch.full((6, 1, 3, 3), torch.nan).to(scores), torch.zeros(6, 2, 9).to(scores)
+    for confidence, budget in ((0.99, 5000), (0.99, 100), (1.0, 50)):
+        args = models, x, x, models, scores, torch.ones_like(existing), existing, 1, False, MODEL["homography"]
+        required = _keep_best_models(*args, confidence, budget)[2].tolist()
+        expected = [
+            min(K.geometry.RANSAC.max_samples_by_conf(int(n), 100, 4, confidence), budget)
+            for n in scores[:, 0, 0].tolist()
+        ]
+        assert required == [expected[0], 0, *expected[2:]] and required[0] == budget
 
 
 @pytest.mark.parametrize("count", [1, 8, 3000])
@@ -320,7 +337,7 @@ def test_the_first_of_equal_models_wins(count, dtype, device):
     models, x = torch.full((2, 70, 3, 3), torch.nan).double(), rand(2, 2, 90)  # of score 0
     models, x, kept, scores, thresholds = (v.to(device, dtype) for v in (models, x, kept, scores, torch.ones(2)))
     for by_count in (False, True):
-        args = models, x, x, kept, scores, thresholds, count, by_count, MODEL["affine"]
+        args = models, x, x, kept, scores, thresholds, 90 * thresholds, count, by_count, MODEL["affine"], 0.9, 99
         result = _keep_best_models(*args)
         with K.backend("reference"):
             assert_close([r.nan_to_num() for r in result], [r.nan_to_num() for r in _keep_best_models(*args)], 0, 0)
@@ -467,15 +484,16 @@ def test_operators_refuse_bad_arguments(backend):
         lambda: ops.minimal_solver(x.half(), x.half(), torch.rand(5, 5), MODEL["homography"]),
         lambda: ops.minimal_solver(x, x, torch.rand(5, 5), 6),
         *(
-            lambda args=args: ops.keep_best_models(*args, 2, False, MODEL["homography"])
+            lambda args=args: ops.keep_best_models(*args, 2, False, MODEL["homography"], 0.9, 99)
             for args in (
-                (models, x, x, models, scores, one),
-                (models, rows, rows, models, scores, one[:0]),
-                (models[0], rows, rows, models, scores, one),
-                (models, rows, rows, models, scores[..., :1], one),
-                (models, rows, rows, models[:0], scores[:0], one),
-                (models[:, :0], rows, rows, models, scores, one),
-                (models, rows, rows.double(), models, scores, one),
+                (models, x, x, models, scores, one, one),
+                (models, rows, rows, models, scores, one[:0], one),
+                (models, rows, rows, models, scores, one, one[:0]),
+                (models[0], rows, rows, models, scores, one, one),
+                (models, rows, rows, models, scores[..., :1], one, one),
+                (models, rows, rows, models[:0], scores[:0], one, one),
+                (models[:, :0], rows, rows, models, scores, one, one),
+                (models, rows, rows.double(), models, scores, one, one),
             )
         ),
         lambda: ops.select_inliers(x, x[:, :3], None, one, eye, MODEL["homography"]),
@@ -610,8 +628,8 @@ def random_models() -> Tensor:
 SCENE, PLANES = Scene(1, 77, noise=0.1), on_planes(1, 77, noise=0.1)
 
 
-# Any number of models may be kept, and C++ asks for axes before it checks how many there are.
-RANSAC_ACCEPTED = ("count ", "rounds ", "another batch", "without axes", "one axis less")
+# Any number of models may be kept, any number of samples required, and C++ asks for axes before it checks how many there are.
+RANSAC_ACCEPTED = ("count ", "budget ", "rounds ", "another batch", "without axes", "one axis less")
 
 
 class TestRansacOperators(PointOpTests):
@@ -625,8 +643,9 @@ class TestRansacOperators(PointOpTests):
                     random_models,
                     vector(4, 2, scale=9.0),
                     vector(scale=3.0),
+                    vector(scale=77.0),
                 ),
-                (2, by_count, MODEL[model]),
+                (2, by_count, MODEL[model], 0.9, 500),
                 broadcasts=False,
                 differentiable=False,
                 accepted=RANSAC_ACCEPTED,

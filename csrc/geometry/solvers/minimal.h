@@ -357,7 +357,6 @@ template <class T>
 KV_HD void solve_minimal_sample(Minimal<T> const& p, int64_t sample) {
   using namespace minimal_solvers;
   int const max_models = candidates(p.model);
-  if (p.model == Model::fundamental) return solve_seven_points<double>(p, sample, 1);
   Points x = {}, y = {};
   if (!read_sample(p, sample, x, y)) {
     for (int k = 0; k < 9 * max_models; ++k) p.models.set(9 * sample * max_models + k, small::nan());
@@ -375,9 +374,11 @@ KV_HD void solve_minimal_sample(Minimal<T> const& p, int64_t sample) {
     case Model::lines:
       count = lines(x, y, models[0]);
       break;
+#if !defined(__CUDACC__)  // minimal.cu has kernels for samples of five points and of seven
     case Model::essential:
       count = essential(x, y, models);
       break;
+#endif
     default:
       count = eight_points(x, y, models[0]);
   }

@@ -59,27 +59,37 @@ struct Normalized {
 template <class V>
 KV_HD void null_space(V (&rows)[7][9], V (&basis)[2][9]) {
   V scales[7];  // reflection k is 1 - scales[k] v v^T, v in row k from entry k on
+#pragma unroll
   for (int k = 0; k < 7; ++k) {
     V* const v = rows[k];
     V square{};
+#pragma unroll
     for (int i = k; i < 9; ++i) square += v[i] * v[i];
     V const norm = root(square);
     V const signed_norm = v[k] < 0 ? V(-norm) : norm;
     scales[k] = 1 / (square + v[k] * signed_norm);
     v[k] += signed_norm;
+#pragma unroll
     for (int r = k + 1; r < 7; ++r) {
       V projection{};
+#pragma unroll
       for (int i = k; i < 9; ++i) projection += v[i] * rows[r][i];
       projection *= scales[k];
+#pragma unroll
       for (int i = k; i < 9; ++i) rows[r][i] -= projection * v[i];
     }
   }
+#pragma unroll
   for (int b = 0; b < 2; ++b) {
+#pragma unroll
     for (int i = 0; i < 9; ++i) basis[b][i] = V{} + (i == 7 + b ? 1.0 : 0.0);
+#pragma unroll
     for (int k = 6; k >= 0; --k) {
       V projection{};
+#pragma unroll
       for (int i = k; i < 9; ++i) projection += rows[k][i] * basis[b][i];
       projection *= scales[k];
+#pragma unroll
       for (int i = k; i < 9; ++i) basis[b][i] -= projection * rows[k][i];
     }
   }
@@ -114,7 +124,7 @@ KV_HD void cubic_roots(V b, V c, V d, V (&roots)[3]) {
 
 // Fundamental matrices of norm 1.
 template <class V>
-KV_CALLED void solve(V const (&x)[7][2], V const (&y)[7][2], V (&models)[3][9]) {
+KV_HD void solve(V const (&x)[7][2], V const (&y)[7][2], V (&models)[3][9]) {
   Normalized<V> const one(x), two(y);
   V rows[7][9], basis[2][9], cofactors_D[9], cofactors_F[9], roots[3];
   for (int i = 0; i < 7; ++i) {

@@ -145,8 +145,9 @@ inline constexpr Operator<"select_inliers", Two(Tensor points1, Tensor points2, 
                                                 Tensor thresholds, Tensor models, int64_t model)>
     select_inliers{non_differentiable};
 inline constexpr Operator<"keep_best_models",
-                          Two(Tensor models, Tensor points1, Tensor points2, Tensor kept, Tensor kept_scores,
-                              Tensor thresholds, int64_t count, bool by_count, int64_t model)>
+                          Three(Tensor models, Tensor points1, Tensor points2, Tensor kept, Tensor kept_scores,
+                                Tensor thresholds, Tensor existing, int64_t count, bool by_count, int64_t model,
+                                double confidence, int64_t budget)>
     keep_best_models{non_differentiable};
 
 // --- geometry/solvers/dlt_op.cpp

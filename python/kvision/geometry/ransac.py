@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 import sys
-from functools import lru_cache
 from typing import Any, Literal, TypeAlias, get_args
 
 import torch
@@ -67,7 +66,7 @@ _WIDE, _NEAR = 4.0, 1.5
 _GROWTH = {"homography": 8}  # of rounds, else 4: of hypotheses that take little time
 _BATCH = 2048  # hypotheses of one `max_iter` round for batch_size "auto"
 _FIRST = 2**14  # hypotheses of all pairs in the first round
-_SAMPLES = 2**18  # of all pairs in one round, which bounds the memory of their models
+_SAMPLES = 2**19  # of all pairs in one round, which bounds the memory of their models
 # Where more samples than these are required few are of right correspondences alone: rounds of further samples follow from the
 # inliers of the best model, of which most are.
 _MANY = {"fundamental": 2000, "fundamental8": 2000, "essential": 100}
@@ -104,12 +103,17 @@ def _keep_best_reference(
     kept: Tensor,
     kept_scores: Tensor,
     thresholds: Tensor,
+    existing: Tensor,
     count: int,
     by_count: bool,
     number: int,
-) -> tuple[Tensor, Tensor]:
+    confidence: float,
+    budget: int,
+) -> tuple[Tensor, Tensor, Tensor]:
     """The `count` best of models (B, M, 3, 3) and of those kept so far (B, L, 3, 3), and their scores (B, count, 2). The first of
-    equal ones wins. Models need not be scored to the end that would not be kept, or have less than half the best sum."""
+    equal ones wins. Models need not be scored to the end that would not be kept, or have less than half the best sum. And how many
+    samples (B), at most the budget, are required until one has only inliers of the best model with this probability: 0 of too few
+    correspondences, of which there are `existing` (B)."""
     least = thresholds.new_zeros(len(models))
     if kept.shape[1] == count and not by_count:
         least = torch.maximum(kept_scores[:, -1, 0], kept_scores[:, 0, 0] / 2)
@@ -117,16 +121,26 @@ def _keep_best_reference(
     models, scores = torch.cat([models, kept], 1), torch.cat([scores, kept_scores], 1)
     order = scores[..., int(by_count)].argsort(dim=1, descending=True, stable=True)[:, :count]
     row = torch.arange(len(models), device=models.device)[:, None]
-    return models[row, order], scores[row, order]
+    models, scores = models[row, order], scores[row, order]
+    inliers, total, size = scores[:, 0, 1].double(), existing.double(), SIZES[MODEL_NAMES[number]][0]
+    good = torch.stack([(inliers - i).clamp(min=0) / (total - i) for i in range(size)]).prod(0)
+    failure = math.log1p(-confidence) if confidence < 1 else -math.inf
+    required = (failure / (-good).log1p()).ceil().nan_to_num(budget, budget).clamp(1, budget).long()
+    return models, scores, torch.where(total < size, 0, required)
 
 
 _keep_best_models = register(
     "keep_best_models",
     _keep_best_reference,
-    fake=lambda models, x, y, kept, scores, thresholds, count, *options: [
-        models.new_empty(len(models), min(count, models.shape[1] + kept.shape[1]), *shape) for shape in ((3, 3), (2,))
+    fake=lambda models, x, y, kept, scores, thresholds, existing, count, *options: [
+        *(
+            models.new_empty(len(models), min(count, models.shape[1] + kept.shape[1]), *shape)
+            for shape in ((3, 3), (2,))
+        ),
+        models.new_empty(len(models), dtype=torch.int64),
     ],
-    non_differentiable=(0, 1),
+    non_differentiable=(0, 1, 2),
+    casts_outputs=True,
 )
 
 
@@ -288,7 +302,10 @@ class RANSAC(nn.Module):
     @staticmethod
     def max_samples_by_conf(n_inl: int, num_tc: int, sample_size: int, conf: float) -> int:
         """The number of samples among which one has only inliers, `n_inl` of `num_tc`, with probability `conf`."""
-        return _required_samples(n_inl, num_tc, sample_size, conf)
+        if n_inl < sample_size or num_tc < sample_size or conf >= 1:
+            return sys.maxsize
+        good = math.prod((n_inl - i) / (num_tc - i) for i in range(sample_size))
+        return 1 if good >= 1 or conf <= 0 else math.ceil(math.log1p(-conf) / math.log1p(-good))
 
     def validate_inputs(self, kp1: Tensor, kp2: Tensor, weights: Tensor | None = None) -> None:
         """Raise unless `forward` takes these arguments."""
@@ -430,10 +447,8 @@ class RANSAC(nn.Module):
         """The best hypotheses (B, K, 3, 3) of pairs. Rounds end when the best of every pair has the requested confidence."""
         batch, num_points = points.shape[1:3]
         x, y = points
-        counts: list[int] | None = None
-        if self.confidence < 1 or x.is_cpu:
-            counts = [num_points] * batch if exists is None else exists.sum(1).tolist()
-        population = x.new_full((batch,), num_points) if exists is None else exists.sum(1).to(x.dtype)
+        existing = x.new_full((batch,), num_points) if exists is None else exists.sum(1).to(x.dtype)
+        population, reads = existing, self.confidence < 1 or x.is_cpu
         if exists is not None:  # the others last
             first = exists.to(torch.uint8).argsort(dim=1, descending=True, stable=True)
             x, y = points.gather(2, first[None, :, :, None].expand_as(points))
@@ -441,9 +456,10 @@ class RANSAC(nn.Module):
         kept, by_count, number = _REFINED.get(self.model, _KEPT), self.score_type == "ransac", MODEL[self.model]
         models, scores = x.new_empty(batch, 0, 3, 3), x.new_empty(batch, 0, 2)
 
-        def merged(candidates: Tensor) -> tuple[Tensor, Tensor]:
-            result: tuple[Tensor, Tensor] = _keep_best_models(
-                candidates, *rows, models, scores, thresholds, kept, by_count, number
+        def merged(candidates: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+            options = kept, by_count, number, self.confidence, self.sample_budget
+            result: tuple[Tensor, Tensor, Tensor] = _keep_best_models(
+                candidates, *rows, models, scores, thresholds, existing, *options
             )
             return result
 
@@ -451,27 +467,29 @@ class RANSAC(nn.Module):
         size = min(self.resolve_batch_size(num_points, x.device), most)
         if self.batch_size == "auto":  # of many pairs few each, whose best score lets later rounds give models up
             size = min(size, max(_FIRST // batch, 64))
-        num_drawn, best = 0, [0.0] * batch
+        num_drawn, best = 0, existing.new_zeros(batch)
         while True:
             count = min(size, self.sample_budget - num_drawn)
             draws = self._draws(count, num_points, population, num_drawn, generator)
-            models, scores = merged(minimal_solver(x, y, draws, self.model).view(batch, -1, 3, 3))
+            models, scores, needs = merged(minimal_solver(x, y, draws, self.model).view(batch, -1, 3, 3))
             num_drawn += count
-            required, top = self._required(scores, counts)
-            rises = counts is None or any(t > b for t, b in zip(top, best))
-            if num_drawn < max(required) and self.max_lo_iters and rises:
-                models, scores = merged(fits(models[:, :1], None, 2)[0].to(x.dtype))
-                required, best = self._required(scores, counts)
+            # The best models of pairs that need more samples are fitted, if they are new.
+            if self.max_lo_iters:
+                is_new = (scores[:, 0, int(by_count)] > best) & (needs > num_drawn)
+                if not x.is_cpu or bool(is_new.any()):
+                    start = torch.where(is_new[:, None, None, None], models[:, :1], torch.nan)
+                    models, scores, needs = merged(fits(start, None, 2)[0].to(x.dtype))
+                    best = scores[:, 0, int(by_count)]
+            required = needs.tolist() if reads else [self.sample_budget] * batch  # where the host waits
             if num_drawn >= max(required):
                 break
             if num_drawn >= min(required):  # pairs that have their model draw no samples
-                is_open = torch.tensor([num_drawn < r for r in required], device=x.device)
-                population = torch.where(is_open, population, 0)
+                population = torch.where(needs > num_drawn, existing, 0)
             size = min(_GROWTH.get(self.model, 4) * size, most) if self.batch_size == "auto" else size
             size = min(size, max(required) - num_drawn)
         if max(required) > _MANY.get(self.model, math.inf) and self.max_lo_iters:
             for _ in range(_INNER_ROUNDS):
-                models, scores = merged(fits(models[:, :1], None, 3)[0].to(x.dtype))
+                models, scores, _ = merged(fits(models[:, :1], None, 3)[0].to(x.dtype))
                 errors = squared_errors(models[:, :1], points[0], points[1], self.model)[:, 0]
                 is_inlier = errors <= thresholds.square()[:, None]
                 first = is_inlier.to(torch.uint8).argsort(dim=1, descending=True, stable=True)
@@ -480,16 +498,17 @@ class RANSAC(nn.Module):
                     batch, _INNER[self.model], self.minimal_sample_size + 1, device=x.device, generator=generator
                 )
                 draws[..., -1] = is_inlier.sum(1, keepdim=True)
-                models, scores = merged(minimal_solver(a, b, draws.flatten(0, 1), self.model).view(batch, -1, 3, 3))
+                models, scores, _ = merged(minimal_solver(a, b, draws.flatten(0, 1), self.model).view(batch, -1, 3, 3))
         if self.degensac:
-            models, scores = merged(self._off_plane(points[0], points[1], exists, generator))
-            return models
+            return merged(self._off_plane(points[0], points[1], exists, generator))[0]
         # What was found early is found often: few hypotheses stand for all.
         is_early = [r < self.sample_budget for r in required]
         if all(is_early):
             return models[:, :_FEW]
-        others = models[:, _FEW:].masked_fill(torch.tensor(is_early, device=x.device)[:, None, None, None], torch.nan)
-        return torch.cat([models[:, :_FEW], others], 1) if any(is_early) else models
+        if any(is_early):
+            others = (needs < self.sample_budget)[:, None, None, None]
+            models = torch.cat([models[:, :_FEW], models[:, _FEW:].masked_fill(others, torch.nan)], 1)
+        return models
 
     def _off_plane(self, x: Tensor, y: Tensor, exists: Tensor | None, generator: torch.Generator | None) -> Tensor:
         """Fundamental matrices (B, S, 3, 3): of the plane that most correspondences are in, and pairs of those outside of it."""
@@ -508,19 +527,6 @@ class RANSAC(nn.Module):
         F = cross_product_matrix(torch.linalg.cross(one, two)) @ H[:, None]
         F = F / torch.linalg.vector_norm(F, dim=(-2, -1), keepdim=True)
         return torch.where((count > 1)[..., None, None], F, torch.nan)
-
-    def _required(self, scores: Tensor, counts: list[int] | None) -> tuple[list[int], list[float]]:
-        """The numbers of samples after which the best models so far have the requested confidence; and what ranks these models.
-        Without `counts` of correspondences all samples are, and the host reads nothing."""
-        size, budget = self.minimal_sample_size, self.sample_budget
-        if counts is None:
-            return [budget] * len(scores), []
-        top = scores[:, 0].tolist()
-        required = [
-            0 if n < size else min(_required_samples(int(t[1]), n, size, self.confidence), budget)
-            for t, n in zip(top, counts)
-        ]
-        return required, [t[self.score_type == "ransac"] for t in top]
 
     def _with_gradient(
         self,
@@ -613,16 +619,6 @@ class RANSAC(nn.Module):
     def polish_model(self, kp1: Tensor, kp2: Tensor, inliers: Tensor) -> Tensor:
         """The least-squares model (1, 3, 3) of the inliers."""
         return self._fitted(kp1[None], kp2[None], inliers[None].to(kp1.dtype))
-
-
-@lru_cache(4096)  # pairs of a batch ask for the same numbers again and again
-def _required_samples(num_inliers: int, count: int, size: int, confidence: float) -> int:
-    if num_inliers < size or count < size or confidence >= 1:
-        return sys.maxsize
-    good = math.prod((num_inliers - i) / (count - i) for i in range(size))
-    if good >= 1 or confidence <= 0:
-        return 1
-    return math.ceil(math.log1p(-confidence) / math.log1p(-good))
 
 
 def _in_camera(points: Tensor, K: Tensor) -> Tensor:

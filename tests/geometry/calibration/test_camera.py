@@ -72,10 +72,11 @@ def test_as_accurate_as_opencv(model: str, count: int, device: torch.device) -> 
 
 def test_jacobians_of_lenses(device: torch.device) -> None:
     """Of fisheye lenses also on the axis and near it, 90 degrees from it and beyond."""
-    p = torch.randn(1, 9, 3, generator=torch.Generator().manual_seed(0), dtype=F64) + torch.tensor([0.0, 0.0, 3.0])
+    near = torch.randn(1, 9, 3, generator=torch.Generator().manual_seed(0), dtype=F64) + torch.tensor([0.0, 0.0, 3.0])
     far = torch.tensor([[[0.0, 0, 2], [1e-3, 0, 2], [0, 1e-9, 1], [1, -2, 0], [2, 1, -1], [0.1, 0.2, -0.5]]], dtype=F64)
     for model, k in LENSES.items():
-        p, k = (p if model == "brown_conrady" else torch.cat([p, far], 1)).to(device), k[None].to(device)
+        p = (near if model == "brown_conrady" else torch.cat([near, far], 1)).to(device)
+        k = k[None].to(device)
         image, to_point, to_k = projected_with_jacobians(model, p, k)
         torch.testing.assert_close(image, projected(model, p, k))
         by_k = torch.func.jacfwd(lambda k, m=model, p=p: projected(m, p, k))(k)

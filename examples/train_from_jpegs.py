@@ -18,11 +18,11 @@ import os
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -38,7 +38,7 @@ from kvision.demo.workers import exit_with_parent
 SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff")
 MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 
-T, U = TypeVar("T"), TypeVar("U")
+Photographs = tuple[list[Tensor], Tensor]  # images and labels
 
 # --- files ----------------------------------------------------------------------------------------------------------
 
@@ -79,57 +79,51 @@ def collate(samples: list[tuple[Tensor, int]]) -> Files:
 # --- decoding ahead -------------------------------------------------------------------------------------------------
 
 
-@dataclass
-class Photographs:
-    """Decoded images of their own sizes. They may be used once `ready` has happened."""
-
-    images: list[Tensor]
-    labels: Tensor
-    ready: torch.cuda.Event | None = None
-
-    def wait(self) -> tuple[list[Tensor], Tensor]:
-        """Let the current stream wait, and keep the memory until it is done with it."""
-        if self.ready is not None:
-            stream = torch.cuda.current_stream(self.labels.device)
-            stream.wait_event(self.ready)
-            for tensor in (*self.images, self.labels):
-                tensor.record_stream(stream)
-        return self.images, self.labels
-
-
 class Decoder:
-    """Files to photographs, each thread on a stream of its own."""
+    """Files to photographs: lists of images of their own sizes, and labels."""
 
     def __init__(self, device: torch.device) -> None:
         self.device, self.local, self.left_out = device, threading.local(), 0
 
-    def __call__(self, files: Files) -> Photographs:
+    def ahead(self, batches: Iterable[Files]) -> Iterator[Photographs]:
+        """The photographs of each batch, while two threads decode the next ones.
+
+        A batch belongs to the loop until it asks for the next one. A thread waits for the device to be done with the memory that it
+        may take again; `Tensor.record_stream` would do it by an event of each image, which takes longer than to decode them.
+        """
+        used: torch.cuda.Event | None = None
+        with ThreadPoolExecutor(2) as pool:
+            futures: deque[Future[tuple[Photographs, torch.cuda.Event | None]]] = deque()
+            for files in batches:
+                if len(futures) == 2:
+                    yield self.ready(futures.popleft())
+                    used = None if self.device.type == "cpu" else torch.cuda.current_stream(self.device).record_event()
+                futures.append(pool.submit(self.on_a_stream, files, used))
+            while futures:
+                yield self.ready(futures.popleft())
+
+    def ready(self, future: Future[tuple[Photographs, torch.cuda.Event | None]]) -> Photographs:
+        photographs, decoded = future.result()
+        if decoded is not None:
+            torch.cuda.current_stream(self.device).wait_event(decoded)
+        return photographs
+
+    def on_a_stream(self, files: Files, used: torch.cuda.Event | None) -> tuple[Photographs, torch.cuda.Event | None]:
+        """Each thread has a stream of its own."""
         if self.device.type == "cpu":
-            return self.decoded(files)
+            return self.decoded(files), None
         if not hasattr(self.local, "stream"):
             self.local.stream = torch.cuda.Stream(self.device)
+        if used is not None:
+            used.synchronize()
         with torch.cuda.stream(self.local.stream):
-            photographs = self.decoded(files)
-            photographs.ready = self.local.stream.record_event()
-        return photographs
+            return self.decoded(files), self.local.stream.record_event()
 
     def decoded(self, files: Files) -> Photographs:
         images = K.io.decode(files.content.split(files.sizes), self.device, errors="skip")
         kept = [i for i, image in enumerate(images) if image is not None]
         self.left_out += len(images) - len(kept)
-        return Photographs([images[i] for i in kept], files.labels[kept].to(self.device))
-
-
-def ahead(work: Callable[[T], U], items: Iterable[T], count: int = 2) -> Iterator[U]:
-    """`work` of each item, in order, of `count` items ahead of the one that is asked for."""
-    with ThreadPoolExecutor(count) as pool:
-        futures: deque[Future[U]] = deque()
-        for item in items:
-            futures.append(pool.submit(work, item))
-            if len(futures) > count:
-                yield futures.popleft().result()
-        while futures:
-            yield futures.popleft().result()
+        return [images[i] for i in kept], files.labels[kept].to(self.device)
 
 
 # --- training -------------------------------------------------------------------------------------------------------
@@ -179,8 +173,7 @@ def train(dataset: Folder, model: nn.Module, device: torch.device, options: argp
     for number in range(options.epochs):
         totals, count, begin = torch.zeros(2, device=device), 0, time.perf_counter()
         with tqdm(total=len(dataset), unit=" images", desc=f"epoch {number + 1}", leave=False) as bar:
-            for photographs in ahead(decoder, loader):
-                images, labels = photographs.wait()
+            for images, labels in decoder.ahead(loader):
                 if images:
                     scores = model(augment(images))
                     loss = F.cross_entropy(scores, labels)

@@ -20,6 +20,7 @@ import importlib.util
 import statistics
 import sys
 import time
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property, partial
@@ -30,7 +31,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 import torch.nn.functional as F
-from torch import Tensor
+from torch import Tensor, nn
 
 import kvision as K
 import kvision.augmentation as A
@@ -149,27 +150,33 @@ def ahead(
     device: torch.device,
     batches: int,
 ) -> None:
-    """Use batches while two threads decode the next ones, on a stream of each."""
+    """Use batches while two threads decode the next ones, on a stream of each.
+
+    A thread waits for the last use of its memory. Tensor.record_stream does it by an event of each image, which takes the host
+    longer than the decoder.
+    """
     streams = [torch.cuda.Stream() for _ in range(2)] if device.type == "cuda" else [None, None]
 
-    def decoded(number: int) -> tuple[list[Tensor], Any]:
+    def decoded(number: int, used: Any) -> tuple[list[Tensor], Any]:
         stream = streams[number % 2]
         if stream is None:
             return decode(), None
+        if used is not None:
+            used.synchronize()
         with torch.cuda.stream(stream):
             return decode(), stream.record_event()
 
     with ThreadPoolExecutor(2) as pool:
-        futures = [pool.submit(decoded, number) for number in range(min(2, batches))]
+        futures = deque(pool.submit(decoded, number, None) for number in range(min(2, batches)))
         for number in range(batches):
-            images, ready = futures[number].result()
-            if number + 2 < batches:
-                futures.append(pool.submit(decoded, number + 2))
+            images, ready = futures.popleft().result()
             if ready is not None:
                 torch.cuda.current_stream().wait_event(ready)
-                for image in images:
-                    image.record_stream(torch.cuda.current_stream())
             use(images)
+            used = None if ready is None else torch.cuda.current_stream().record_event()
+            del images
+            if number + 2 < batches:
+                futures.append(pool.submit(decoded, number + 2, used))
 
 
 def of_bytes(setup: Setup) -> Iterator[Figure]:
@@ -267,6 +274,16 @@ def of_lists(setup: Setup) -> Iterator[Figure]:
         yield Figure("lists", f"{name}, host", microseconds(calls[0]), "us", 200)
         yield Figure("lists", f"{name}, launches", launches(calls[0]), "", 3 if antialias else 2)
         yield Figure("lists", f"{name}, memory beyond the result", extra_bytes(calls[0]), "bytes", 65536)
+    for name, steps in TO_LISTS.items():
+        augment = A.ImageSequential(*(step() for step in steps))
+        of_list, of_batch = partial(augment, images), partial(augment, batch)
+        seconds, of_pixels = setup.seconds_of([of_list, of_batch])
+        yield Figure("lists", f"{name} of 128 to a list", 1e3 * seconds, "ms")
+        yield Figure("lists", f"{name} to a list, over a batch of as many pixels", seconds / of_pixels, "", 1.25)
+        yield Figure("lists", f"{name} to a list, host", microseconds(of_list), "us", 200 + 2.5 * 128)
+        yield Figure(
+            "lists", f"{name} to a list, launches beyond a batch's", launches(of_list) - launches(of_batch), "", 0
+        )
     leaves = [(image / 255).requires_grad_() for image in images]
     wanted, nothing = microseconds(partial(augmentation(), leaves)), microseconds(lambda: Nothing.apply(*leaves))
     yield Figure(
@@ -281,6 +298,15 @@ def of_lists(setup: Setup) -> Iterator[Figure]:
     (seconds,) = setup.seconds_of([both])
     moved = 2 * 4 * (sum(image.numel() for image in images) + 128 * 3 * CROP[0] * CROP[1])
     yield Figure("lists", "resize of 128, float32, and its gradients", seconds * setup.bandwidth / moved, "floors", 2.5)
+
+
+# Augmentations that leave images their sizes.
+TO_LISTS: dict[str, Sequence[Callable[[], nn.Module]]] = {
+    "flip": (A.RandomHorizontalFlip,),
+    "affine": (partial(A.RandomAffine, 20.0),),
+    "jitter, normalize": (partial(A.ColorJitter, *JITTER), partial(A.Normalize, MEAN, STD)),
+    "flip, affine, jitter": (A.RandomHorizontalFlip, partial(A.RandomAffine, 20.0), partial(A.ColorJitter, *JITTER)),
+}
 
 
 class Nothing(torch.autograd.Function):

@@ -32,54 +32,109 @@ std::tuple<Tensor, Tensor, Tensor> draw_warp_and_color(Tensor const& image, Tens
   return {y, matrix ? *matrix : columns, columns};
 }
 
-// The numbers of the draws of the first request, for each image: those that draw windows in it have its size.
-std::vector<double> listed_numbers(DrawParameters<float> const& p, Tensors const& images, size_t& width) {
-  width = 0;
-  int const end = draws_of_first(p);
-  for (int i = 0; i < end; ++i) width += size_t(kDrawNumbers[int(p.draws[i].kind)]);
-  std::vector<double> listed(images.size() * width);
-  for (size_t b = 0; b < images.size(); ++b) {
-    double* const own = listed.data() + b * width;
-    std::copy_n(p.numbers + kFirstListed, width, own);
-    for (int i = 0; i < end; ++i) {
-      DrawKind const kind = p.draws[i].kind;
-      if (kind != DrawKind::resized_crop && kind != DrawKind::rectangle) continue;
-      double* const size = own + p.draws[i].number - kFirstListed + kDrawNumbers[int(kind)] - 2;
-      size[0] = double(images[b].size(1));
-      size[1] = double(images[b].size(2));
+// Lists the draws of the first request that draw windows in images of any size, and gives their numbers for each image.
+std::vector<double> listed_windows(char const* op, DrawParameters<float>& p, Tensors const& images, size_t& width) {
+  std::vector<int64_t> windows;
+  std::vector<double> own;
+  for (int i = 0; i < p.count && p.draws[i].probability == 0; ++i) {
+    DrawKind const kind = p.draws[i].kind;
+    if (kind != DrawKind::resized_crop && kind != DrawKind::rectangle) continue;
+    windows.push_back(i);
+    own.insert(own.end(), p.numbers + p.draws[i].number, p.numbers + p.draws[i].number + kDrawNumbers[int(kind)]);
+  }
+  width = list_draws(op, p, windows);
+  std::vector<double> listed;
+  listed.reserve(images.size() * width);
+  for (Tensor const& x : images) {
+    size_t end = 0;
+    for (int64_t const i : windows) {
+      end += size_t(kDrawNumbers[int(p.draws[i].kind)]);
+      own[end - 2] = double(x.size(1)), own[end - 1] = double(x.size(2));  // their last numbers
     }
+    listed.insert(listed.end(), own.begin(), own.end());
   }
   return listed;
 }
 
+// Heights and widths (B, 2) of images, like a tensor of integers.
+Tensor sizes_of(Tensors const& images, Tensor const& like) {
+  Tensor const sizes = empty({int64_t(images.size()), 2}, like);
+  int64_t* to = data_ptr<int64_t>(sizes);
+  for (Tensor const& x : images) *to++ = x.size(1), *to++ = x.size(2);
+  return sizes;
+}
+
 // The same of images (C, H, W) of different sizes, to which the warp gives one size. The first request draws for these.
-std::tuple<Tensor, Tensor, Tensor> draw_list_warp_and_color(Tensors const& list, Tensor const& keys,
-                                                            std::optional<Tensor> const& seeds, Tensor const& plan,
-                                                            Tensor const& numbers) {
+// The last result are heights and widths (B, 2), on the CPU: to ask each image takes Python longer than all else.
+std::tuple<Tensor, Tensor, Tensor, Tensor> draw_list_warp_and_color(Tensors const& list, Tensor const& keys,
+                                                                    std::optional<Tensor> const& seeds,
+                                                                    Tensor const& plan, Tensor const& numbers) {
   constexpr char const* op = "draw_list_warp_and_color";
   PassImages const images(op, list);
   PlanReader rest = read_plan(op, plan, numbers);
   auto const draws = rest.next_list();
-  auto const params = draws_of(images.like, keys, seeds, draws, rest.next_numbers(rest.next_count()));
+  auto params = draws_of(images.like, keys, seeds, draws, rest.next_numbers(rest.next_count()));
   auto const size = rest.next_list();
   KV_CHECK(!size.empty(), op, ": expected a size of the results");
   PlanReader of_pass = rest;
   of_pass.next(kPassOptions);
   size_t width;
-  auto const listed = listed_numbers(params, list, width);
+  auto const listed = listed_windows(op, params, list, width);
   auto const [columns, drawn_matrix] = draw_list_columns(op, images.like, params, listed, width, of_pass.next_chain());
   auto const pass_plan = rest.plan();
   auto const pass_numbers = rest.numbers();
   auto const [y, matrix, means] =
       run_pass(images, columns, {}, drawn_matrix, {size.begin(), size.end()}, {pass_plan.begin(), pass_plan.end()},
                {pass_numbers.begin(), pass_numbers.end()});
-  return {y, *matrix, columns};
+  return {y, *matrix, columns, sizes_of(list, plan)};
+}
+
+// The same of images that keep their sizes. `linear` (3, N) has the numbers of the draws that are listed, as functions
+// of the size: a constant, and the factors of height and width. The plan has these draws behind the count of the draws'
+// numbers, and 1 instead of a size if there is a warp. Behind the results are matrices, columns and sizes.
+Tensors draw_warp_and_color_to_list(Tensors const& list, Tensor const& keys, std::optional<Tensor> const& seeds,
+                                    Tensor const& linear, Tensor const& plan, Tensor const& numbers) {
+  constexpr char const* op = "draw_warp_and_color_to_list";
+  PassImages const images(op, list);
+  PlanReader rest = read_plan(op, plan, numbers);
+  auto const draws = rest.next_list();
+  auto params = draws_of(images.like, keys, seeds, draws, rest.next_numbers(rest.next_count()));
+  KV_CHECK(linear.is_cpu() && linear.scalar_type() == ScalarType::Double && linear.is_contiguous() &&
+               linear.dim() == 2 && linear.size(0) == 3,
+           op, ": expected float64 numbers of shape (3, N) on the CPU");
+  double const* const constant = data_ptr<double const>(linear);
+  int64_t const width = linear.size(1);
+  std::vector<double> own;
+  own.reserve(list.size() * size_t(width));
+  for (Tensor const& x : list) {
+    double const h = double(x.size(1)), w = double(x.size(2));
+    for (int64_t k = 0; k < width; ++k)
+      own.push_back(constant[k] + h * constant[width + k] + w * constant[2 * width + k]);
+  }
+  list_draws(op, params, rest.next_list(), own);
+  bool const warps = !rest.next_list().empty();
+  PlanReader of_pass = rest;
+  of_pass.next(kPassOptions);
+  auto const [columns, drawn_matrix] =
+      draw_list_columns(op, images.like, params, own, size_t(width), warps ? of_pass.next_chain() : ChainPlan{});
+  auto const pass_plan = rest.plan();
+  auto const pass_numbers = rest.numbers();
+  auto [results, matrix, means] =
+      run_pass_to_list(images, columns, {}, drawn_matrix, warps, {pass_plan.begin(), pass_plan.end()},
+                       {pass_numbers.begin(), pass_numbers.end()});
+  results.push_back(matrix ? *matrix : columns);
+  results.push_back(columns);
+  results.push_back(sizes_of(list, plan));
+  return results;
 }
 
 }  // namespace
 
+KV_OPERATOR(draw_warp_and_color_to_list,
+            "(Tensor[] images, Tensor keys, Tensor? seeds, Tensor linear, Tensor plan, Tensor numbers) -> Tensor[]")
 KV_OPERATOR(draw_list_warp_and_color,
-            "(Tensor[] images, Tensor keys, Tensor? seeds, Tensor plan, Tensor numbers) -> (Tensor, Tensor, Tensor)")
+            "(Tensor[] images, Tensor keys, Tensor? seeds, Tensor plan, Tensor numbers) -> "
+            "(Tensor, Tensor, Tensor, Tensor)")
 KV_OPERATOR(draw_warp_and_color,
             "(Tensor image, Tensor keys, Tensor? seeds, Tensor plan, Tensor numbers) -> (Tensor, Tensor, Tensor)")
 

@@ -47,7 +47,7 @@ inline Drawn draw_columns([[maybe_unused]] char const* op, Tensor const& image, 
   return {columns, {}};
 }
 
-// The same for images of different sizes, whose first request has `width` numbers of its own for each of them.
+// The same for images of different sizes, of which listed draws have `width` numbers each.
 inline Drawn draw_list_columns([[maybe_unused]] char const* op, Tensor const& images,
                                DrawParameters<float> const& draws, std::span<double const> listed, size_t width,
                                [[maybe_unused]] ChainPlan const& chain) {
@@ -55,21 +55,22 @@ inline Drawn draw_list_columns([[maybe_unused]] char const* op, Tensor const& im
   Tensor const memory = empty({elements + 9 * batch}, images, Layout::planar, ScalarType::Float);
   Tensor const columns = view_of(memory, {batch, draws.columns}, 0);
 #if defined(KV_CUDA)
-  Tensor const matrix = view_of(memory, {batch, 3, 3}, elements);
-  DrawsAndChain<DrawListParameters<float>> p;
-  p.chain = transform_params<float>(op, columns, chain.plan, chain.numbers);
-  p.chain.result = data_ptr<float>(matrix);
-  p.draws.all = draws;
-  p.draws.all.result = data_ptr<float>(columns);
-  for_each_listed(p.draws, listed, width, [&] { KV_RUN(draw_and_multiply, images, p, p.draws.count, 0); });
-  return {columns, matrix};
-#else
+  if (!chain.plan.empty()) {
+    Tensor const matrix = view_of(memory, {batch, 3, 3}, elements);
+    DrawsAndChain<DrawListParameters<float>> p;
+    p.chain = transform_params<float>(op, columns, chain.plan, chain.numbers);
+    p.chain.result = data_ptr<float>(matrix);
+    p.draws.all = draws;
+    p.draws.all.result = data_ptr<float>(columns);
+    for_each_listed(p.draws, listed, width, [&] { KV_RUN(draw_and_multiply, images, p, p.draws.count, 0); });
+    return {columns, matrix};
+  }
+#endif
   DrawListParameters<float> p;
   p.all = draws;
   p.all.result = data_ptr<float>(columns);
   for_each_listed(p, listed, width, [&] { KV_RUN(draw_list_parameters, images, p, p.count, 64 * p.all.count); });
   return {columns, {}};
-#endif
 }
 
 }  // namespace kv::augmentation

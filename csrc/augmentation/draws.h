@@ -21,13 +21,14 @@ enum class DrawKind : uint8_t {
   normal,
   uniform_and_affine,
   uniform_of_sample,
-  rectangles
+  rectangles,
+  number
 };
-constexpr int kDrawKinds = 12;
+constexpr int kDrawKinds = 13;
 
 // How many numbers a kind takes, and how many columns it gives: 0 for as many as its first number says.
-constexpr int kDrawNumbers[kDrawKinds] = {0, 3, 4, 3, 3, 6, 6, 3, 3, 5, 3, 10};
-constexpr int kDrawColumns[kDrawKinds] = {1, 1, 1, 1, 0, 4, 4, 1, 1, 2, 1, 0};
+constexpr int kDrawNumbers[kDrawKinds] = {0, 3, 4, 3, 3, 6, 6, 3, 3, 5, 3, 10, 1};
+constexpr int kDrawColumns[kDrawKinds] = {1, 1, 1, 1, 0, 4, 4, 1, 1, 2, 1, 0, 1};
 
 constexpr int kMaxDraws = 64, kMaxDrawNumbers = 256;  // of a launch, whose parameters take less than 4 KB
 constexpr int kMaxListedNumbers = 3072;  // of all samples of a launch, whose parameters take 32,764 bytes at most
@@ -85,9 +86,8 @@ struct DrawParameters {
   }
 };
 
-// The first request of a list, which draws for images of different sizes, has `width` other numbers for each sample
-// behind its probabilities. Of samples from `begin` on.
-constexpr int kFirstListed = 2;
+// Some draws of a list, which are for images of different sizes, have numbers of their own for each sample: `width` in
+// all. They are those whose numbers begin behind kMaxDrawNumbers. Of samples from `begin` on.
 template <class T>
 struct DrawListParameters {
   DrawParameters<T> all;
@@ -99,8 +99,7 @@ struct DrawListParameters {
   KV_HD int64_t first() const { return begin; }
   KV_HD int64_t samples() const { return count; }
   KV_HD double const* numbers(Draw const& d, int64_t i) const {
-    bool const is_listed = d.number < kFirstListed + width;
-    return is_listed ? listed + i * width + (d.number - kFirstListed) : all.numbers + d.number;
+    return d.number >= kMaxDrawNumbers ? listed + i * width + (d.number - kMaxDrawNumbers) : all.numbers + d.number;
   }
 };
 
@@ -292,6 +291,9 @@ KV_HD void draw_sample(DrawParameters<T> const& p, double const* n, Draw const& 
         draw_rectangles(source, d.index, n, result);
       else
         for (int i = 0; i < int(n[0]); ++i) result[i] = T(0);
+      break;
+    case DrawKind::number:
+      result[0] = T(n[0]);
       break;
   }
 }

@@ -22,27 +22,33 @@ inline Tensor columns_for(DrawParameters<float>& p, Tensor const& images) {
   return result;
 }
 
-// How many draws the first request has.
-inline int draws_of_first(DrawParameters<float> const& p) {
-  int end = 0;
-  while (end < p.count && p.draws[end].probability == 0) ++end;
-  return end;
+// Lets some draws read numbers of each sample, and returns how many these are.
+inline size_t list_draws(char const* op, DrawParameters<float>& p, std::span<int64_t const> draws) {
+  size_t width = 0;
+  for (int64_t const i : draws) {
+    KV_CHECK(i >= 0 && i < p.count, op, ": there is no draw ", i, " to list numbers of");
+    p.draws[i].number = uint16_t(kMaxDrawNumbers + width);
+    width += size_t(kDrawNumbers[int(p.draws[i].kind)]);
+  }
+  KV_CHECK(width <= kMaxListedNumbers, op, ": expected at most ", kMaxListedNumbers, " numbers of a sample, got ",
+           width);
+  return width;
 }
 
-// Raises unless `listed` has `width` numbers of each sample, those of whole draws of the first request.
-inline void check_listed(char const* op, DrawParameters<float> const& p, std::span<double const> listed, size_t batch,
-                         size_t width) {
-  size_t own = 0;
-  int const end = draws_of_first(p);
-  for (int i = 0; i < end; ++i) own += size_t(kDrawNumbers[int(p.draws[i].kind)]);
-  KV_CHECK(listed.size() == batch * width && (!batch || width == own) && width <= kMaxListedNumbers, op, ": expected ",
-           own, " numbers for each of ", batch, " images, got ", listed.size(), " in all");
-  for (int i = 0; i < end; ++i)
-    for (size_t b = 0; !kDrawColumns[int(p.draws[i].kind)] && b < batch; ++b) {
-      double const own_entries = listed[b * width + p.draws[i].number - kFirstListed];
-      KV_CHECK(own_entries == p.numbers[p.draws[i].number], op, ": expected draws of ", p.numbers[p.draws[i].number],
-               " columns, got ", own_entries);
+// The same with these numbers (B, width) of all samples.
+inline size_t list_draws(char const* op, DrawParameters<float>& p, std::span<int64_t const> draws,
+                         std::span<double const> listed) {
+  DrawParameters<float> const before = p;
+  size_t const width = list_draws(op, p, draws);
+  KV_CHECK(listed.size() == size_t(p.batch) * width, op, ": expected ", width, " numbers for each of ", p.batch,
+           " images, got ", listed.size(), " in all");
+  for (int64_t const i : draws)  // the columns of a draw are the same for all samples
+    for (size_t at = p.draws[i].number - size_t(kMaxDrawNumbers); at < listed.size(); at += width) {
+      if (kDrawColumns[int(p.draws[i].kind)]) break;
+      double const columns = before.numbers[before.draws[i].number];
+      KV_CHECK(listed[at] == columns, op, ": expected draws of ", columns, " columns, got ", listed[at]);
     }
+  return width;
 }
 
 // Calls run() for as many samples at a time as have room for their numbers.

@@ -99,12 +99,11 @@ Tensor draw_parameters(Tensor const& images, Tensor const& keys, std::optional<T
 
 Tensor draw_list_parameters(Tensor const& images, Tensor const& keys, std::optional<Tensor> const& seeds,
                             std::vector<int64_t> const& plan, std::vector<double> const& numbers,
-                            std::vector<double> const& listed) {
+                            std::vector<double> const& listed, std::vector<int64_t> const& draws) {
   constexpr char const* op = "draw_list_parameters";
   DrawListParameters<float> params;
   params.all = draws_of(images, keys, seeds, plan, numbers, op);
-  size_t const batch = size_t(params.all.batch), width = batch ? listed.size() / batch : 0;
-  check_listed(op, params.all, listed, batch, width);
+  size_t const width = list_draws(op, params.all, draws, listed);
   Tensor const result = columns_for(params.all, images);
   if (params.all.count)
     for_each_listed(params, listed, width,
@@ -115,8 +114,9 @@ Tensor draw_list_parameters(Tensor const& images, Tensor const& keys, std::optio
 }  // namespace
 
 KV_OPERATOR(draw_parameters, "(Tensor images, Tensor keys, Tensor? seeds, int[] plan, float[] numbers) -> Tensor")
-// `listed` has the numbers of each sample of the draws of the first request, which replace those among `numbers`.
+// `listed` has the numbers of each sample of the draws that are listed, which replace those among `numbers`.
 KV_OPERATOR(draw_list_parameters,
-            "(Tensor images, Tensor keys, Tensor? seeds, int[] plan, float[] numbers, float[] listed) -> Tensor")
+            "(Tensor images, Tensor keys, Tensor? seeds, int[] plan, float[] numbers, float[] listed, int[] draws) -> "
+            "Tensor")
 
 }  // namespace kv::augmentation

@@ -52,4 +52,13 @@ PassResults run_pass(PassImages const& images, std::optional<Tensor> const& colu
                      std::optional<Tensor> const& matrices, std::vector<int64_t> const& size,
                      std::vector<int64_t> const& plan, std::vector<double> const& numbers);
 
+// A list of results, of which each has the size of its image.
+struct ListResults {
+  Tensors images;
+  std::optional<Tensor> matrix, means;
+};
+ListResults run_pass_to_list(PassImages const& images, std::optional<Tensor> const& columns,
+                             std::optional<Tensor> const& fill, std::optional<Tensor> const& matrices, bool warps,
+                             std::vector<int64_t> const& plan, std::vector<double> const& numbers);
+
 }  // namespace kv::augmentation

@@ -6,6 +6,7 @@
 #include "augmentation/warp_and_color.h"
 #include "augmentation/warp_and_color_glue.h"
 #include "augmentation/warp_rows_backward.h"
+#include "color/lists/program_list_glue.h"
 #include "color/program_glue.h"
 #include "geometry/transform/lists/resize_windows_list_glue.h"
 #include "geometry/transform/lists/warp_list_glue.h"
@@ -261,18 +262,63 @@ PassResults run_pass(PassImages const& images, OptionalTensor const& columns, Op
   return {y, a.matrix_tensor, around_mean ? OptionalTensor(means) : OptionalTensor()};
 }
 
+ListResults run_pass_to_list(PassImages const& images, OptionalTensor const& columns, OptionalTensor const& fill,
+                             OptionalTensor const& matrices, bool warps, std::vector<int64_t> const& plan,
+                             Numbers const& numbers) {
+  constexpr char const* op = "warp_and_color_to_list";
+  Tensors const& list = *images.list;
+  Tensor const& like = images.like;
+  std::vector<int64_t> sides;
+  for (Tensor const& x : list) sides.insert(sides.end(), {x.size(1), x.size(2)});
+  std::vector<int64_t> const size(sides.begin(),
+                                  sides.begin() + (warps ? 2 : 0));  // is checked, and that of each taken
+  WarpAndColorArguments const a(op, like, columns, fill, matrices, size, plan, numbers);
+  color::PlanArgument const& program = a.plan.program;
+  KV_CHECK(program.layout < 0 && !a.plan.antialias, op,
+           ": expected results of the layout of images, without antialias");
+  geometry::ListSizes const sizes(op, sides, list.size());
+  ScalarType const type = color::result_type(program, like);
+  auto const arguments = a.program(like, type);
+  int64_t const channels = arguments.sequence.one_channel ? 1 : like.size(1);
+  Layout const out = layout_of(like);
+  Layout in = out;
+  bool in_place = false;
+#if defined(KV_CUDA)
+  in_place = warps && channels == like.size(1) && type == like.scalar_type();
+#else
+  if (warps && a.is_joined(like, arguments)) in = Layout::planar;  // as the bands of a batch, for the same bits
+#endif
+  Tensors sampled = list;
+  if (warps) {
+    bool const is_all = program.dtype < 0 && !a.plan.has_steps();
+    if (is_all) in = out;
+    sampled = geometry::empty_list(like, like.size(1), sizes, list.size(), in);
+    geometry::warp_to(sampled, in, list, *a.sampling, *a.matrix, sizes);
+    if (is_all) return {sampled, a.matrix_tensor, {}};
+  }
+  Tensors const results =
+      in_place ? sampled
+               : geometry::empty_list(like, channels, sizes, list.size(), channels == 1 ? Layout::planar : out, type);
+  Tensor const means = color::run_program_on_list(op, sampled, in, results, like, arguments, program, a.plan.numbers);
+  bool const around_mean = arguments.sequence.contrast >= 0;
+  return {results, a.matrix_tensor, around_mean ? OptionalTensor(means) : OptionalTensor()};
+}
+
 namespace {
 
 // Missing matrices are (B, 0, 3), and missing means are (B, 0).
 using Results = std::tuple<Tensor, Tensor, Tensor>;
+Tensor matrix_or_none(Tensor const& image, OptionalTensor const& x) {
+  return x ? *x : empty({image.size(0), 0, 3}, image, Layout::planar, compute_dtype(image));
+}
+Tensor means_or_none(Tensor const& image, OptionalTensor const& x) {
+  return x ? *x : empty({image.size(0), 0}, image, Layout::planar, compute_dtype(image));
+}
 Results run_and_fill(PassImages const& images, OptionalTensor const& columns, OptionalTensor const& fill,
                      std::vector<int64_t> const& size, std::vector<int64_t> const& plan, Numbers const& numbers) {
   Tensor const& image = images.like;
   auto const [y, matrix, means] = run_pass(images, columns, fill, {}, size, plan, numbers);
-  auto const or_none = [&](OptionalTensor const& x, std::initializer_list<int64_t> none) {
-    return x ? *x : empty(none, image, Layout::planar, compute_dtype(image));
-  };
-  return {y, or_none(matrix, {image.size(0), 0, 3}), or_none(means, {image.size(0), 0})};
+  return {y, matrix_or_none(image, matrix), means_or_none(image, means)};
 }
 
 Results warp_and_color(Tensor const& image, OptionalTensor const& columns, OptionalTensor const& fill,
@@ -283,6 +329,15 @@ Results warp_and_color_list(Tensors const& images, OptionalTensor const& columns
                             std::vector<int64_t> const& size, std::vector<int64_t> const& plan,
                             Numbers const& numbers) {
   return run_and_fill({"warp_and_color_list", images}, columns, fill, size, plan, numbers);
+}
+
+Tensors warp_and_color_to_list(Tensors const& images, OptionalTensor const& columns, OptionalTensor const& fill,
+                               bool warps, std::vector<int64_t> const& plan, Numbers const& numbers) {
+  PassImages const list("warp_and_color_to_list", images);
+  auto [results, matrix, means] = run_pass_to_list(list, columns, fill, {}, warps, plan, numbers);
+  results.push_back(matrix_or_none(list.like, matrix));
+  results.push_back(means_or_none(list.like, means));
+  return results;
 }
 
 // The gradients of the image, of the columns that the program reads, and of the matrices. One that is not required has
@@ -348,6 +403,10 @@ KV_OPERATOR(warp_and_color,
 KV_OPERATOR(warp_and_color_list,
             "(Tensor[] images, Tensor? columns, Tensor? fill, SymInt[] size, int[] plan, float[] numbers) "
             "-> (Tensor, Tensor, Tensor)")
+// The same of images of different sizes, which they keep; `warps` says whether there is a warp. Behind the results are
+// the matrices and the means.
+KV_OPERATOR(warp_and_color_to_list,
+            "(Tensor[] images, Tensor? columns, Tensor? fill, bool warps, int[] plan, float[] numbers) -> Tensor[]")
 KV_OPERATOR(warp_and_color_backward,
             "(Tensor grad, Tensor image, Tensor? columns, Tensor? fill, Tensor matrix, Tensor means, SymInt[] size, "
             "int[] plan, float[] numbers, bool of_image, bool of_columns) -> (Tensor, Tensor, Tensor)")

@@ -200,10 +200,11 @@ constexpr bool kSupportsStorage = sizeof(T) <= sizeof(F);
 template <class T>
 constexpr int kScale = sizeof(T) == 1 ? 255 : 1;
 
-// The pixels of sample b before the first whose P pixels are aligned vectors. P is 1 or 4.
+// The pixels, of a sample that starts at element `offset`, before the first whose P pixels are aligned vectors. P is 1
+// or 4.
 template <int P>
-KV_HD int pixels_before_vectors(Pixels const& x, int64_t b) {
-  int64_t const element = int64_t(reinterpret_cast<uintptr_t>(x.data)) / size_of(x.type) + x.offset(b);
+KV_HD int pixels_before_vectors(Pixels const& x, int64_t offset) {
+  int64_t const element = int64_t(reinterpret_cast<uintptr_t>(x.data)) / size_of(x.type) + offset;
   return int((x.step == 1 ? -element : element) & (P - 1));  // element + 3 n is a multiple of 4 for n = element
 }
 
@@ -220,7 +221,9 @@ inline void set_access(std::initializer_list<Pixels*> images, int64_t samples) {
     bool const planar = x->step == 1 && (x->channels == 1 || x->channel_stride % P == 0);
     vectors = vectors && (planar || (x->step == 3 && x->channels == 3));
     for (int64_t b : {int64_t(0), int64_t(1), x->inner})  // offsets are linear, so these decide for all samples
-      if (b < samples) vectors = vectors && pixels_before_vectors<P>(*x, b) == pixels_before_vectors<P>(first, b);
+      if (b < samples)
+        vectors =
+            vectors && pixels_before_vectors<P>(*x, x->offset(b)) == pixels_before_vectors<P>(first, first.offset(b));
   }
   for (Pixels* x : images)
     x->access = !vectors                              ? Access::elements
@@ -248,10 +251,11 @@ template <int P, bool Elements>
 struct ThreadPixels {
   static constexpr int apart = Elements ? 32 : 1;
   int position, skew;
-  __device__ __forceinline__ ThreadPixels(Pixels const& x, int64_t b) {
+  // Of a sample that starts at element `offset`.
+  __device__ __forceinline__ ThreadPixels(Pixels const& x, int64_t offset) {
     int const t = int(threadIdx.x);
     position = Elements ? t / 32 * 32 * P + t % 32 : t * P;
-    skew = Elements ? 0 : -pixels_before_vectors<P>(x, b) & (P - 1);
+    skew = Elements ? 0 : -pixels_before_vectors<P>(x, offset) & (P - 1);
   }
 };
 
@@ -468,6 +472,17 @@ __device__ __forceinline__ void store_pixels(Pixels const& y, int64_t offset, in
 
 // --- parameters and steps of a sample --------------------------------------------------------------------------------
 
+// The partial sums of the mean of a sample, of so many pixels.
+template <class F>
+struct MeanParts {
+  F const* parts;
+  int64_t count, pixels;
+};
+template <class F>
+__device__ __forceinline__ MeanParts<F> parts_of(Program<F> const& p, int64_t b) {
+  return {p.parts + b * p.parts_count, p.parts_count, p.mean_pixels};
+}
+
 template <class F>
 struct Sample {
   struct Entry {
@@ -483,6 +498,10 @@ struct Sample {
   F mean, grad_mean;                  // the latter per pixel
 
   __device__ __forceinline__ void prepare(Program<F> const& program, int64_t b, bool backward) {
+    prepare(program, b, backward, parts_of(program, b));
+  }
+  __device__ __forceinline__ void prepare(Program<F> const& program, int64_t b, bool backward,
+                                          MeanParts<F> const& of_mean) {
     constexpr unsigned kAll = 0xffffffffu;
     __syncthreads();  // the previous sample may still be in use
     int const t = int(threadIdx.x);
@@ -511,8 +530,8 @@ struct Sample {
     if (mean_parameter < 0 || (program.measures_mean && !backward)) return;
     F sum = 0;
     if (!program.measures_mean) {
-      for (int64_t i = t; i < program.parts_count; i += kThreads) sum += program.parts[b * program.parts_count + i];
-      sum = block_sum_to_all(sum, sums) / F(program.mean_pixels);
+      for (int64_t i = t; i < of_mean.count; i += kThreads) sum += of_mean.parts[i];
+      sum = block_sum_to_all(sum, sums) / F(of_mean.pixels);
     }
     if (t == 0) {
       mean = backward ? program.means[b] : sum;

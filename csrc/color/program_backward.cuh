@@ -21,7 +21,7 @@ __global__ void __launch_bounds__(kThreads, 3) run_backward(__grid_constant__ Pr
   __shared__ F partial_grads[kThreads / 32][kMaxParameters];
   for (int64_t n = blockIdx.y; n < q.samples; n += gridDim.y) {
     int64_t const b = sample_of(q, n), from = q.x.offset(b), from_grad = p.grad.offset(b);
-    ThreadPixels<P, Elements> const own(q.x, b);
+    ThreadPixels<P, Elements> const own(q.x, q.x.offset(b));
     int64_t const to = p.needs_grad_x ? p.grad_x.offset(b) : 0;
     F partial_mean = 0;
     sample.prepare(q, b, true);

@@ -34,6 +34,20 @@ KV_HD Images<T> images_of(ListedResult const& y, int channels, bool interleaved)
       static_cast<T*>(y.data), 0, interleaved ? 1 : y.height * width, width * step, step, 1, y.height, width, channels};
 }
 
+// The entry of a table that an item belongs to. Those of entry i begin at first_of(i).
+template <class FirstOf>
+KV_HD int entry_of_item(int count, int item, FirstOf first_of) {
+  int low = 0, high = count - 1;
+  while (low < high) {
+    int const middle = (low + high + 1) / 2;
+    if (first_of(middle) <= item)
+      low = middle;
+    else
+      high = middle - 1;
+  }
+  return low;
+}
+
 // What is read and what is written for each of `count` samples. A kernel's work is a number of items, parts of a
 // result; those of sample b begin at first[b].
 struct ListedSamples {
@@ -45,15 +59,7 @@ struct ListedSamples {
 
   // The sample of an item.
   KV_HD int sample_of(int item) const {
-    int low = 0, high = count - 1;
-    while (low < high) {
-      int const middle = (low + high + 1) / 2;
-      if (first[middle] <= item)
-        low = middle;
-      else
-        high = middle - 1;
-    }
-    return low;
+    return entry_of_item(count, item, [&](int i) { return first[i]; });
   }
 };
 

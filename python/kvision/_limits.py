@@ -122,8 +122,8 @@ JPEG_LOW_CHROMINANCE = (
 )  # low_chrominance in csrc/enhance/jpeg.h
 JPEG_HIGH_CHROMINANCE = 99  # high_chrominance in csrc/enhance/jpeg.h
 NEAR_PIXEL = 1.5  # kNearPixel in csrc/augmentation/preimages/preimages.h
-DRAW_NUMBERS = (0, 3, 4, 3, 3, 6, 6, 3, 3, 5, 3, 10)  # kDrawNumbers in csrc/augmentation/draws.h
-DRAW_COLUMNS = (1, 1, 1, 1, 0, 4, 4, 1, 1, 2, 1, 0)  # kDrawColumns in csrc/augmentation/draws.h
+DRAW_NUMBERS = (0, 3, 4, 3, 3, 6, 6, 3, 3, 5, 3, 10, 1)  # kDrawNumbers in csrc/augmentation/draws.h
+DRAW_COLUMNS = (1, 1, 1, 1, 0, 4, 4, 1, 1, 2, 1, 0, 1)  # kDrawColumns in csrc/augmentation/draws.h
 CHOSEN_DRAW = 0  # kChosenDraw in csrc/augmentation/draws.h
 BATCH_SAMPLE = 0xFFFFFFFF  # kBatchSample in csrc/augmentation/draws.h
 CROP_TRIES = 10  # kCropTries in csrc/augmentation/draws.h

@@ -122,6 +122,7 @@ DRAW_KIND = {
     "uniform_and_affine": 9,
     "uniform_of_sample": 10,
     "rectangles": 11,
+    "number": 12,
 }
 DRAW_KIND_NAMES = tuple(DRAW_KIND)
 # TransformKind in csrc/augmentation/transforms.h

@@ -60,7 +60,7 @@ def drawn(requests: list[Request], batch: int, device: torch.device, keys: Tenso
 
 def _of_each(plan: list[int], numbers: list[float], first: Request):
     own = [n for draw in first.draws for n in draw.numbers]
-    return lambda batch: (plan, numbers, own * batch)
+    return lambda batch: (plan, numbers, own * batch, list(range(len(first.draws))))
 
 
 class TestDrawParameters(PointOpTests):
@@ -85,20 +85,21 @@ def test_numbers_of_each_sample(device, backend, seeds):
     batch = 12 if backend == "reference" else 600
     sizes = [(40 + b % 3, 300 - b % 4) for b in range(batch)]
     seeds = None if seeds is None else torch.arange(batch, device=device) * 7919 - 5
-    plans = {}
+    plans, listed = {}, [1, 2, 3]
     for size in set(sizes):
         crops = [Draw(draw.kind, (*draw.numbers[:4], *size)) for draw in (CROP, RECTANGLE)]
-        requests = [Request([uniform(0, 1), *crops, integer(0, size[0])], 0.9), Request([CROP])]
+        requests = [Request([uniform(0, 1), *crops, integer(0, size[0])], 0.9)]
+        requests.append(Request([CROP, Draw("number", (7.0 * size[0],))]))
         plans[size] = make_plan(requests, seeds is not None)
-    end = 2 + sum(len(draw.numbers) for draw in requests[0].draws)
-    listed = [n for size in sizes for n in plans[size].numbers[2:end]]
-    x, (plan, numbers, _) = images(batch, device), plans[sizes[0]]
-    result = draw_list_parameters(x, KEYS[:2], seeds, plan, numbers, listed)
-    for size, of_size in plans.items():
+        plans[size] = (plans[size], [n for i in listed for n in requests[0].draws[i].numbers] + [7.0 * size[0]])
+    x, (plan, numbers, _) = images(batch, device), plans[sizes[0]][0]
+    of_each = [n for size in sizes for n in plans[size][1]]
+    result = draw_list_parameters(x, KEYS[:2], seeds, plan, numbers, of_each, [*listed, 5])
+    for size, (of_size, _) in plans.items():
         of_this = torch.tensor([s == size for s in sizes], device=device)
         expected = draw_parameters(x, KEYS[:2], seeds, of_size.plan, of_size.numbers)
-        assert torch.equal(result[of_this], expected[of_this])
-    assert draw_list_parameters(x[:0], KEYS[:2], None, plan, numbers, []).shape == (0, plan[0])
+        assert torch.equal(result[of_this], expected[of_this]) and (result[of_this, -1] == 7 * size[0]).all()
+    assert draw_list_parameters(x[:0], KEYS[:2], None, plan, numbers, [], [1]).shape == (0, plan[0])
 
 
 def test_bad_numbers_of_samples(device, backend):
@@ -106,9 +107,11 @@ def test_bad_numbers_of_samples(device, backend):
         pytest.skip("plans are made by the library; the kernel reads them")
     plan = make_plan([Request([Draw("permutation", (3, 0, 1))])])
     with pytest.raises(RuntimeError, match="expected 3 numbers for each of 2 images, got 5"):
-        draw_list_parameters(images(2, device), KEYS[:1], None, *plan[:2], [3, 0, 1, 3, 0])
+        draw_list_parameters(images(2, device), KEYS[:1], None, *plan[:2], [3, 0, 1, 3, 0], [0])
     with pytest.raises(RuntimeError, match="expected draws of 3 columns, got 4"):
-        draw_list_parameters(images(2, device), KEYS[:1], None, *plan[:2], [3, 0, 1, 4, 0, 1])
+        draw_list_parameters(images(2, device), KEYS[:1], None, *plan[:2], [3, 0, 1, 4, 0, 1], [0])
+    with pytest.raises(RuntimeError, match="there is no draw 1 to list"):
+        draw_list_parameters(images(2, device), KEYS[:1], None, *plan[:2], [3, 0, 1, 3, 0, 1], [1])
 
 
 # --- what the parameters depend on ---
@@ -214,6 +217,7 @@ def test_samples_that_are_not_chosen_get_the_identity(kind, device):
         "rectangles": HOLES,
         "integer": integer(1, 4, 9),
         "uniform_and_affine": Draw("uniform_and_affine", (0.0, 1.0, 2.0, 0.5, 9.0)),
+        "number": Draw("number", (9.0,)),
     }.get(kind, Draw(kind, (0.5, 0.75, 9.0)))
     identity = {"chosen": [0], "permutation": [5, 5.5, 6], "resized_crop": [0, 0, 131, 97], "rectangle": [0] * 4}
     identity["rectangles"] = [0] * 12
@@ -391,7 +395,7 @@ def test_plans_are_checked(device):
         (KEYS, plan[:-1], numbers, "the plan ends within a request"),
         (KEYS, [plan[0] - 1, *plan[1:]], numbers, "more columns than"),
         (KEYS, [plan[0] + 1, *plan[1:]], numbers, "the draws take"),
-        (KEYS, [*plan[:-1], 12], numbers, "a kind of draw from 0 to 11, got 12"),
+        (KEYS, [*plan[:-1], 13], numbers, "a kind of draw from 0 to 12, got 13"),
         (KEYS, plan, numbers[:-4], "expected more numbers"),
         (KEYS, *too_many[:2], "the number of draws from 0 to 64, got 65"),
         (KEYS, *too_long[:2], "at most 256 numbers"),

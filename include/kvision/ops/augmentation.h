@@ -54,9 +54,9 @@ inline constexpr Operator<"draw_warp_and_color",
 inline constexpr Operator<"draw_parameters",
                           Tensor(Tensor images, Tensor keys, OptionalTensor seeds, Ints plan, Floats numbers)>
     draw_parameters{non_differentiable};
-// `listed` has the numbers of each sample of the draws of the first request, which replace those among `numbers`.
+// `listed` has the numbers of each sample of the draws that are listed, which replace those among `numbers`.
 inline constexpr Operator<"draw_list_parameters", Tensor(Tensor images, Tensor keys, OptionalTensor seeds, Ints plan,
-                                                         Floats numbers, Floats listed)>
+                                                         Floats numbers, Floats listed, Ints draws)>
     draw_list_parameters{non_differentiable};
 
 // --- augmentation/elastic_op.cpp

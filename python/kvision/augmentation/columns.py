@@ -131,12 +131,12 @@ class DrawPlan(NamedTuple):
         drawn: Tensor = draw_parameters(images, own, seeds, self.plan, self.numbers)
         return drawn if self.learned is None else _with_learned(drawn, self.learned)
 
-    def draw_list(self, images: Tensor, keys: Keys, numbers: Sequence[float]) -> Tensor:
-        """The same with other numbers for each image of the draws of the first request, if there are any."""
-        if not numbers:
+    def draw_list(self, images: Tensor, keys: Keys, draws: Sequence[int], listed: Sequence[float]) -> Tensor:
+        """The same with other numbers of some draws, by their positions among all: those of the first image, of the second, ..."""
+        if not draws:
             return self.draw(images, keys)
         own, seeds = self.keys_of(keys), keys.seeds_on(images.device)
-        drawn: Tensor = draw_list_parameters(images, own, seeds, self.plan, self.numbers, numbers)
+        drawn: Tensor = draw_list_parameters(images, own, seeds, self.plan, self.numbers, listed, list(draws))
         return drawn
 
     def keys_of(self, keys: Keys) -> Tensor:

@@ -16,12 +16,14 @@ from kvision.augmentation.keys import Keys
 from kvision.augmentation.warp_and_color import Pass
 from kvision.color.program import _DTYPES
 from kvision.enhance.posterize import SPLIT
+from kvision.geometry.transform.lists.arguments import check_list
 
 # Types of images whose parameters and sampling coordinates are computed in float32.
 COMPUTED_IN_FLOAT32 = (torch.float32, torch.float16, torch.bfloat16, torch.uint8)
 
 _draw_warp_and_color = FastPath("draw_warp_and_color", COMPUTED_IN_FLOAT32)
 _draw_list_warp_and_color = FastPath("draw_list_warp_and_color", COMPUTED_IN_FLOAT32)
+_draw_warp_and_color_to_list = FastPath("draw_warp_and_color_to_list", COMPUTED_IN_FLOAT32)
 
 
 class DrawnPass:
@@ -47,27 +49,33 @@ class DrawnPass:
     def run(self, x: Tensor, keys: Keys) -> tuple[Tensor, Tensor, Tensor]:
         """The result, the matrices (B, 3, 3) of the warp, which do not carry gradients, and the columns."""
         if self.has_kernel and _draw_warp_and_color.serves(x):
-            return self._call(_draw_warp_and_color.kernel, x, x, keys)
+            y, matrix, columns = self._call(_draw_warp_and_color.kernel, x, x, keys)
+            return y, matrix, columns
         columns = self.draws.draw(x, keys)
         y, matrix = self.image_pass.run(x, columns)
         return y, matrix, columns
 
-    def run_list(self, images: list[Tensor], keys: Keys) -> tuple[Tensor, Tensor, Tensor] | None:
-        """The same of images (C, H, W) of different sizes, of which the first draws are; None where no kernel does it all."""
+    def run_list(self, images: list[Tensor], keys: Keys) -> tuple[Tensor, Tensor, Tensor, Tensor] | None:
+        """The same of images (C, H, W) of different sizes, of which the first draws are, and the sizes (B, 2), on the CPU; None
+        where no kernel does it all.
+        """
         x = images[0]
         if not self.has_kernel or not _draw_list_warp_and_color.serves(x) or in_forward_ad():
             return None
         if is_grad_enabled() and any([image.requires_grad for image in images]):
             return None
-        return self._call(_draw_list_warp_and_color.kernel, images, x, keys)
+        try:
+            return self._call(_draw_list_warp_and_color.kernel, images, x, keys)
+        except RuntimeError:
+            check_list("lists", "images", images)  # which says more
+            raise
 
-    def _call(self, kernel: Any, images: Any, x: Tensor, keys: Keys) -> tuple[Tensor, Tensor, Tensor]:
+    def _call(self, kernel: Any, images: Any, x: Tensor, keys: Keys) -> Any:
         if self._plan is None:
             self._plan = self._packed()
             if self.image_pass.clamps:
                 look_at_range(x)
-        y, matrix, columns = kernel(images, self.draws.keys_of(keys), keys.seeds_on(x.device), *self._plan)
-        return y, matrix, columns
+        return kernel(images, self.draws.keys_of(keys), keys.seeds_on(x.device), *self._plan)
 
     def draw(self, x: Tensor, keys: Keys) -> tuple[Tensor, tuple[Tensor, Tensor], None]:
         """The columns, the result with the matrices, and no links: what draws together with the first step give."""
@@ -90,6 +98,47 @@ class DrawnPass:
             *image_pass.plan,
         ]
         return packed(plan, [*draws.numbers, *image_pass.numbers])
+
+
+class DrawnListPass:
+    """Draws and a pass over images (C, H, W) of different sizes, which these keep, that reads the drawn columns.
+
+    `listed` are draws by their positions, whose numbers are `linear` (3, N) functions of the size of an image: a constant, and the
+    factors of height and width, float64 on the CPU.
+    """
+
+    def __init__(
+        self,
+        draws: DrawPlan,
+        listed: Sequence[int],
+        linear: Tensor,
+        image_pass: Pass,
+        shape: Sequence[int],
+        dtype: torch.dtype,
+    ) -> None:
+        self.of_batch, self.listed, self.linear = DrawnPass(draws, image_pass, shape, dtype), listed, linear
+        self._plan: tuple[Tensor, Tensor] | None = None
+
+    def run(self, images: list[Tensor], keys: Keys) -> tuple[list[Tensor], Tensor, Tensor] | None:
+        """The results, the columns, and the sizes (B, 2) on the CPU; None where no kernel does it all."""
+        x, draws, image_pass = images[0], self.of_batch.draws, self.of_batch.image_pass
+        if not self.of_batch.has_kernel or not _draw_warp_and_color_to_list.serves(x) or in_forward_ad():
+            return None
+        if is_grad_enabled() and any([image.requires_grad for image in images]):
+            return None
+        if self._plan is None:
+            plan = [len(draws.plan), *draws.plan, len(draws.numbers), len(self.listed), *self.listed]
+            plan += [1, 1] if image_pass.warps else [0]
+            self._plan = packed([*plan, *image_pass.plan], [*draws.numbers, *image_pass.numbers])
+            if image_pass.clamps:
+                look_at_range(x)
+        own = draws.keys_of(keys), keys.seeds_on(x.device)
+        try:
+            *results, _, columns, sizes = _draw_warp_and_color_to_list.kernel(images, *own, self.linear, *self._plan)
+        except RuntimeError:
+            check_list("lists", "images", images)  # which says more
+            raise
+        return results, columns, sizes
 
 
 def packed(plan: Sequence[int], numbers: Sequence[float]) -> tuple[Tensor, Tensor]:

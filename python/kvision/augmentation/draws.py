@@ -45,6 +45,7 @@ from kvision.augmentation.keys import flatten_draws
 #   rectangles              four times the most rectangles, the fewest, lowest and highest height, whether these are pixels and
 #                           not fractions, the same of widths, height, width: x, y, w, h of each. Those behind a random number
 #                           have no area.
+#   number                  the number
 
 
 class Kind(NamedTuple):
@@ -384,6 +385,10 @@ def _open_unit(word: Tensor) -> Tensor:
     return unit(word) + 2.0**-33
 
 
+def _number(words: _Words, numbers: Sequence[float]) -> _Columns:
+    return [(torch.full_like(unit(words()[0]), numbers[0]), numbers[0])]
+
+
 _VALUES: dict[str, Callable[[_Words, Sequence[float]], _Columns]] = {
     "chosen": _chosen,
     "uniform": _uniform,
@@ -397,6 +402,7 @@ _VALUES: dict[str, Callable[[_Words, Sequence[float]], _Columns]] = {
     "uniform_and_affine": _uniform_and_affine,
     "uniform_of_sample": _uniform,
     "rectangles": _rectangles,
+    "number": _number,
 }
 
 
@@ -407,12 +413,27 @@ def _list_reference(
     plan: Sequence[int],
     numbers: Sequence[float],
     listed: Sequence[float],
+    draws: Sequence[int],
 ) -> Tensor:
-    batch = images.shape[0]
-    width = len(listed) // max(batch, 1)
-    each = [[*numbers[:2], *listed[b * width : (b + 1) * width], *numbers[2 + width :]] for b in range(batch)]
-    rows = [_reference(images, keys, seeds, plan, own)[b] for b, own in enumerate(each)]
+    at, rows = _numbers_of(plan, draws), []
+    for b in range(images.shape[0]):
+        values = list(numbers)
+        for i, number in zip(at, listed[b * len(at) :]):
+            values[i] = number
+        rows.append(_reference(images, keys, seeds, plan, values)[b])
     return torch.stack(rows) if rows else images.new_empty(0, plan[0], dtype=torch.float32)
+
+
+def _numbers_of(plan: Sequence[int], draws: Sequence[int]) -> list[int]:
+    """Where the numbers of some draws are among those of a plan."""
+    first, at, number = [], 1, 0
+    while at < len(plan):
+        kinds = plan[at + HEADER : at + HEADER + plan[at + HEADER - 1]]
+        at, number = at + HEADER + len(kinds), number + 2
+        for kind in kinds:
+            first.append(range(number, number + DRAW_NUMBERS[kind]))
+            number += DRAW_NUMBERS[kind]
+    return [i for draw in draws for i in first[draw]]
 
 
 _OPTIONS: dict[str, Any] = {
@@ -422,5 +443,6 @@ _OPTIONS: dict[str, Any] = {
     "casts_outputs": True,
 }
 draw_parameters = register("draw_parameters", _reference, flatten=flatten_draws(keys=1), **_OPTIONS)
-# The draws of the first request with other numbers for each image: `listed` has those of the first one, of the second, ...
+# With other numbers for each image: `listed` has those of some draws, for the first image, the second, ...; the last argument
+# has the positions of these among all draws.
 draw_list_parameters = register("draw_list_parameters", _list_reference, **_OPTIONS)

@@ -20,7 +20,7 @@ from kvision._tv_tensors import TV_TENSORS, kind_of, plain
 from kvision.augmentation.labels import BOX_FORMATS
 from kvision.constants import DataKey
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
-from kvision.geometry.transform.lists.arguments import ImageList, check_list
+from kvision.geometry.transform.lists.arguments import ImageList, unchecked_list
 
 WIDE_INTEGERS = (torch.int16, torch.uint16)  # whose values float32 holds
 OUTPUT_TYPES = get_args(OutputType)
@@ -38,7 +38,7 @@ def image_and_matrix(module: Any, input: Any) -> tuple[Any, Tensor | None]:
     if isinstance(input, tuple) and len(input) == 2 and all(isinstance(x, Tensor) for x in input):
         return input[0], input[1]
     if _may_be_image_list(module, input):
-        return check_list(type(module).__name__, "input", input), None
+        return unchecked_list(type(module).__name__, "input", input), None
     if isinstance(input, (list, tuple)):
         described = _check.described(input)
         got = described if " of " in described else f"a {described} of {len(input)}"
@@ -60,7 +60,7 @@ def plain_image(module: Any, x: Any) -> Any:
         if "torchvision.tv_tensors" not in sys.modules:
             return x
         own = [plain_image(module, item) for item in x] if {*map(type, x)} != {Tensor} else x
-        return ImageList(own, x.heights, x.widths) if own is not x and isinstance(x, ImageList) else own
+        return own
     if (kind := kind_of(x)) not in TV_TENSORS:
         return x
     op, name = type(module).__name__, type(x).__name__
@@ -123,9 +123,9 @@ def as_batch(x: Tensor, axes: int) -> Tensor:
 
 
 def checked_images(module: Any, images: Any) -> list[Tensor]:
-    """A list of images; raises unless a module takes images of their type, and they are alike but for their sizes."""
+    """A list of images, an ImageList but in graphs; raises unless a module takes images of the type of the first one."""
     op = type(module).__name__
-    images = check_list(op, "input", images)
+    images = unchecked_list(op, "input", images)
     check_image(module, images[0])
     if images[0].dtype in WIDE_INTEGERS:
         raise TypeCheckError(f"{op}: expected a list of images of bytes or floats, got {images[0].dtype}")

@@ -1,7 +1,7 @@
-"""One pass over a list of images of different sizes: `warp_and_color`, whose warp makes them a batch.
+"""One pass over a list of images of different sizes: `warp_and_color`, whose warp makes them a batch, or whose results are a list.
 
-The operator gives what `warp_and_color` gives for each image alone. Its gradient is that of a warp of a list and of a color
-program behind it.
+The operators give what `warp_and_color` gives for each image alone. Their gradients are those of a warp of a list and of color
+programs behind it.
 """
 
 from __future__ import annotations
@@ -112,5 +112,112 @@ warp_and_color_list = ListOperator(
     supports=lambda images, *args: batches._supports(_like(images), *args),
     nondeterministic=lambda images, columns, fill, size, plan, numbers: (
         images[0].is_cuda and plan[3] != batches.PADDING["fill"] and not plan[5] and images[0].is_floating_point()
+    ),
+)
+
+# --- results of the sizes of the images -----------------------------------------------------------------------------
+
+# Arguments: images (C, H, W), columns and fill of `warp_and_color`, whether there is a warp, plan and numbers. The matrices and the
+# means follow the results.
+
+
+def _size_of(x: Tensor, warps: bool) -> list[int]:
+    return list(x.shape[-2:]) if warps else []
+
+
+def _list_reference(
+    images: Sequence[Tensor],
+    columns: Tensor | None,
+    fill: Tensor | None,
+    warps: bool,
+    plan: Sequence[int],
+    numbers: Sequence[float],
+) -> list[Tensor]:
+    each = [
+        batches.warp_and_color.reference(
+            x[None], lists.row(columns, b), lists.row(fill, b), _size_of(x, warps), plan, numbers
+        )
+        for b, x in enumerate(images)
+    ]
+    results, matrices, means = zip(*each)
+    return [*(y[0] for y in results), torch.cat(matrices), torch.cat(means)]
+
+
+def _list_fake(images, columns, fill, warps, plan, numbers):
+    each = [batches._fake(x[None], None, fill, _size_of(x, warps), plan, numbers) for x in images]
+    _, matrix, mean = batches._fake(_like(images), columns, fill, _size_of(images[0], warps), plan, numbers)
+    return [*(y[0] for y, *_ in each), matrix, mean]
+
+
+def _list_backward(needs, grads, results, images, columns, fill, warps, plan, numbers):
+    *ys, matrix, mean = results
+    parts, count = batches._parse(plan, numbers), len(images)
+    grads = [torch.zeros_like(y) if g is None else g for g, y in zip(grads[:count], ys)]
+    if needs[2] or ys[0].dtype == torch.uint8 or images[0].dtype == torch.uint8:
+        return _differentiate_list_reference(needs, grads, images, columns, fill, warps, plan, numbers)
+    options, of_columns = (*parts.sampling, True, False), None
+    if parts.steps or grads[0].dtype != images[0].dtype:
+        sampled = warp_list(images, matrix, fill, lists.sizes(images), *options) if warps else images
+        sampled = lists.samples(sampled) if len(images) == 1 and sampled[0].dim() == 4 else [x[None] for x in sampled]
+        none, of_each = matrix[:, :0], []
+        for b, (g, x) in enumerate(zip(grads, sampled)):
+            arguments = (lists.row(columns, b), None, none[b : b + 1], mean[b : b + 1], [])
+            of_each.append(
+                batches._warp_and_color_backward(
+                    g[None], x, *arguments, parts.plan_of_steps, parts.numbers, True, needs[1]
+                )
+            )
+        grads = [of_image[0] for of_image, *_ in of_each]
+        of_columns = torch.cat([own for _, own, _ in of_each])
+    of_images = None
+    if needs[0]:
+        of_images = warp_list_backward(grads, matrix, lists.sizes(images), *options) if warps else grads
+    if not needs[1]:
+        return of_images, None, None
+    if not warps:
+        return of_images, torch.zeros_like(columns) if of_columns is None else of_columns, None
+    each = [
+        sampling._warp_matrix_backward(g[None], x[None], lists.row(matrix, b), lists.row(fill, b), None, *options)
+        for b, (g, x) in enumerate(zip(grads, images))
+    ]
+    of_chain = transforms._transform_matrix_backward(
+        torch.cat(each), columns, parts.transforms, parts.transform_numbers
+    )
+    return of_images, of_chain if of_columns is None or not of_columns.shape[1] else of_chain + of_columns, None
+
+
+def _differentiate_list_reference(
+    needs: Any, grads: Sequence[Tensor], images: Any, columns: Tensor | None, fill: Tensor | None, *rest: Any
+) -> tuple[Any, ...]:
+    count, given = len(images), [x for x in (columns, fill) if x is not None]
+
+    def result(*tensors: Tensor) -> tuple[Tensor, ...]:
+        others = iter(tensors[count:])
+        own_columns, own_fill = (None if x is None else next(others) for x in (columns, fill))
+        return tuple(_list_reference(tensors[:count], own_columns, own_fill, *rest)[:count])
+
+    ys, vjp_fn = torch.func.vjp(result, *images, *given)  # type: ignore[misc]
+    of_all: Any = vjp_fn(tuple(g.to(y.dtype) for g, y in zip(grads, ys)))
+    others = iter(of_all[count:])
+    return list(of_all[:count]), *(None if x is None else next(others) for x in (columns, fill))
+
+
+def _list_supports(
+    images: Sequence[Tensor], columns: Any, fill: Any, warps: bool, plan: Any, numbers: Any
+) -> str | None:
+    return batches._supports(_like(images), columns, fill, _size_of(images[0], warps), plan, numbers)
+
+
+warp_and_color_to_list = ListOperator(
+    "warp_and_color_to_list",
+    batches.warp_and_color,
+    _list_reference,
+    fake=_list_fake,
+    backward=_list_backward,
+    saves_results=True,
+    non_differentiable=(-2, -1),
+    supports=_list_supports,
+    nondeterministic=lambda images, columns, fill, warps, plan, numbers: (
+        images[0].is_cuda and bool(warps) and plan[3] != batches.PADDING["fill"] and images[0].is_floating_point()
     ),
 )

@@ -70,26 +70,29 @@ inline std::vector<int64_t> offsets_in_block(int64_t channels, ListSizes const& 
   return offsets;
 }
 
-// One result (B, C, h, w), of one size; or a list of results (C, h, w), of a size each. Those of gradients share a
-// block of memory, because an allocation costs the host more than a view. `like` is a batch.
+// Results (C, h, w), of a size each, of the type of `like` or of another one. They share a block of memory, because an
+// allocation costs the host more than a view. `like` is a batch.
+inline Tensors empty_list(Tensor const& like, int64_t channels, ListSizes const& sizes, size_t count, Layout layout,
+                          std::optional<ScalarType> type = {}) {
+  Tensors results;
+  results.reserve(count);
+  std::vector<int64_t> const offsets = offsets_in_block(channels, sizes, count);
+  Tensor const block = empty({offsets[count]}, like, Layout::planar, type.value_or(like.scalar_type()));
+  for (size_t b = 0; b < count; ++b) {
+    int64_t const h = sizes[b].height, w = sizes[b].width;
+    int64_t const planar[] = {h * w, w, 1}, interleaved[] = {1, w * channels, channels};
+    results.push_back(view_of(block, {channels, h, w}, layout == Layout::planar ? planar : interleaved, offsets[b]));
+  }
+  return results;
+}
+
+// One result (B, C, h, w), of one size; or a list of results, of a size each.
 inline Tensors empty_results(Tensor const& like, ListSizes const& sizes, size_t count, Layout layout,
                              bool are_gradients = false) {
   int64_t const channels = like.size(1);
   if (sizes.is_one() && !are_gradients)
     return {empty({int64_t(count), channels, sizes[0].height, sizes[0].width}, like, layout)};
-  Tensors results;
-  results.reserve(count);
-  std::vector<int64_t> offsets;
-  if (are_gradients) offsets = offsets_in_block(channels, sizes, count);
-  Tensor const block = are_gradients ? empty({offsets[count]}, like) : Tensor();
-  for (size_t b = 0; b < count; ++b) {
-    int64_t const h = sizes[b].height, w = sizes[b].width;
-    int64_t const planar[] = {h * w, w, 1}, interleaved[] = {1, w * channels, channels};
-    int64_t const* const strides = layout == Layout::planar ? planar : interleaved;
-    Tensor const memory = are_gradients ? block : empty({channels * h * w}, like);
-    results.push_back(view_of(memory, {channels, h, w}, strides, are_gradients ? offsets[b] : 0));
-  }
-  return results;
+  return empty_list(like, channels, sizes, count, layout);
 }
 
 // Fills tables of at most kMaxListed samples each, and calls run(first sample of the table). `image_of(b)` is what is

@@ -42,17 +42,14 @@ inline int tiles_per_block_of(ListSizes const& sizes, size_t count) {
   return tiles_per_block(1, kTile, tiles * kTile);
 }
 
-// One result (B, C, h, w), of one size; or a list of results, of a size each.
-inline Tensors warped_list(Tensors const& images, SamplingOptions const& a, Matrix const& m,
-                           std::vector<int64_t> const& sides) {
+// Warps images to `results` of a layout: a batch (B, C, h, w), or a list.
+inline void warp_to(Tensors const& results, Layout layout, Tensors const& images, SamplingOptions const& a,
+                    Matrix const& m, ListSizes const& sizes) {
   char const* const op = a.op;
   size_t const count = images.size();
   int64_t const channels = images[0].size(0);
-  ListSizes const sizes(op, sides, count);
   Tensor const like = as_batch(images[0]);
-  Layout const layout = layout_of(like);
-  Tensors const results = empty_results(like, sizes, count, layout);
-  if (channels == 0) return results;
+  if (channels == 0) return;
   BatchOrList const outputs(results);
   int const per_block = tiles_per_block_of(sizes, count);
   dispatch_floating_and_uint8(op, like, [&]<class T>(Type<T>) {
@@ -73,6 +70,15 @@ inline Tensors warped_list(Tensors const& images, SamplingOptions const& a, Matr
           KV_RUN(sample_list, like, p, p.list.items, 4 * channels * kItemPixels);
         });
   });
+}
+
+// One result (B, C, h, w), of one size; or a list of results, of a size each.
+inline Tensors warped_list(Tensors const& images, SamplingOptions const& a, Matrix const& m,
+                           std::vector<int64_t> const& sides) {
+  ListSizes const sizes(a.op, sides, images.size());
+  Tensor const like = as_batch(images[0]);
+  Tensors const results = empty_results(like, sizes, images.size(), layout_of(like));
+  warp_to(results, layout_of(like), images, a, m, sizes);
   return results;
 }
 

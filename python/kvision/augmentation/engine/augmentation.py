@@ -15,9 +15,10 @@ from kvision._modules import give_own_forward
 from kvision._tv_tensors import wrap
 from kvision.augmentation.engine.call_context import CallContext
 from kvision.augmentation.engine.call_labels import CallLabels
-from kvision.augmentation.engine.execution import Execution, Params, Shape, replaying
+from kvision.augmentation.engine.execution import Execution, ListExecution, Params, Shape, replaying
 from kvision.augmentation.engine.executor import Executor
 from kvision.augmentation.engine.list_calls import Parts, call_in_parts, shapes_of_images
+from kvision.augmentation.engine.list_runs import run_list
 from kvision.augmentation.engine.lists import execute_list, list_plan
 from kvision.augmentation.engine.record import Child
 from kvision.augmentation.inputs import (
@@ -145,7 +146,7 @@ class AugmentationBase(Executor, keeps_contract=True):
         return_transform: bool | None,
         kwargs: dict[str, Any],
     ) -> Any:
-        """Augment a list of images (C, H, W): by one launch if all results have one size, and otherwise image by image."""
+        """Augment a list of images (C, H, W): in the launches of a batch, and where there are no such image by image."""
         op, labels = type(self).__name__, None if self.reads_labels is None else kwargs.pop(self.reads_labels, None)
         flags, plain = self._flags_of(kwargs), plain_image(self, given)
         images = checked_images(self, plain)
@@ -161,10 +162,17 @@ class AugmentationBase(Executor, keeps_contract=True):
                 y, *_ = execute_list(images, child, context)
                 execution = child.record
             else:
-                call = functools.partial(self._call_part, flags)
-                (y, *_), parts = call_in_parts([self], keys, inputs, params, seed, generator, call)
-                execution = Execution(parts.shape)
-                execution.of_list = parts
+                run = None
+                if params is None and labels is None and flags is self.flags:
+                    context = CallContext.of_module(op, seed, generator)._replace(plans=self._plans)
+                    run = run_list(images, [Child(op, self)], context)
+                parts: Parts
+                if run is not None:
+                    y, parts = run[0], run[1].of_child(0)
+                else:
+                    call = functools.partial(self._call_part, flags)
+                    (y, *_), parts = call_in_parts([self], keys, inputs, params, seed, generator, call)
+                execution = ListExecution(parts)
         self._execution = execution
         y = y if plain is given else wrap(y, given)
         returns = self.return_transform if return_transform is None else return_transform

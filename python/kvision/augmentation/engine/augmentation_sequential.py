@@ -303,6 +303,19 @@ class AugmentationSequential(ImageSequential):
     ) -> tuple[list[Any], Record]:
         return self._call(list(keys), inputs, params, seed, generator, None)
 
+    def _with_labels_of_list(self, keys: Sequence[DataKey], inputs: Sequence[Any], y: Any, parts: Any) -> list[Any]:
+        if len(keys) == 1:
+            return [y]
+        each = []
+        for record, rows in zip(parts.calls, parts.rows):
+            record.labels = LabelRecord(self._label_settings, record.shape, record.size)
+            own = parts.inputs(rows, keys, inputs)
+            each.append(record.labels.move(list(keys), own, record.stages))
+            record.stages.forget()
+        outputs = parts.outputs(keys, inputs, each)
+        outputs[keys.index(DataKey.INPUT)] = y
+        return outputs
+
     def _call(
         self,
         keys: list[DataKey],

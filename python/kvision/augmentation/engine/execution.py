@@ -100,3 +100,19 @@ class Execution:
         if self._chosen is None and self.columns is not None and self.columns.chosen is not None:
             self._chosen = self.columns.chosen > 0.5
         return self._chosen
+
+
+class ListExecution(Execution):
+    """A call on a list, whose shape is that of `of_list`, read where it is asked for."""
+
+    def __init__(self, of_list: Any, columns: Columns | None = None, **options: Any) -> None:
+        self.of_list = of_list
+        super().__init__((), columns, **options)
+
+    @property
+    def shape(self) -> Shape:
+        shape: Shape = self.of_list.shape
+        return shape
+
+    @shape.setter
+    def shape(self, _: Any) -> None: ...

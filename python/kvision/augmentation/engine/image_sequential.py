@@ -23,6 +23,7 @@ from kvision.augmentation.engine.configuration import Plans, portable, settings_
 from kvision.augmentation.engine.declaration import KeepsArguments
 from kvision.augmentation.engine.execution import check_batch_of_params, matrix_type
 from kvision.augmentation.engine.list_calls import SIZES, Parts, Sizes, call_in_parts, shapes_of_images, sizes_after
+from kvision.augmentation.engine.list_runs import run_list
 from kvision.augmentation.engine.lists import list_plan
 from kvision.augmentation.engine.record import Child, ParamItem, Record, child_of, item_of
 from kvision.augmentation.engine.runs import execute, images_of
@@ -62,7 +63,6 @@ from kvision.augmentation.warp_and_color import SAME, Output
 from kvision.color.frames import Frames
 from kvision.constants import DataKey
 from kvision.core.exceptions import TypeCheckError, ValueCheckError
-from kvision.geometry.transform.lists.arguments import largest_shape
 
 __all__ = ["ImageSequential", "ImageSequentialBase", "ParamItem"]
 
@@ -339,12 +339,37 @@ class ImageSequential(ImageSequentialBase):
     def _call_list(
         self, keys: Sequence[DataKey], inputs: Sequence[Any], params: Any, seed: Seed, generator: Generator | None
     ) -> tuple[list[Any], Record]:
-        """The results of a call on a list of images, image by image, and its record."""
+        """The results of a call on a list of images, in the launches of a batch or image by image, and its record."""
+        of_passes = self._call_list_by_passes(keys, inputs, params, seed, generator)
+        if of_passes is not None:
+            return of_passes
         if params is not None:
             params = list(checked_items(type(self).__name__, params, self._item_field))
         call = functools.partial(self._call_part, keys)
         outputs, parts = call_in_parts(list(self.modules()), keys, inputs, params, seed, generator, call)
         return outputs, Record.of_parts(parts)
+
+    def _call_list_by_passes(
+        self, keys: Sequence[DataKey], inputs: Sequence[Any], params: Any, seed: Seed, generator: Generator | None
+    ) -> tuple[list[Any], Record] | None:
+        """The same of a call whose children are passes over all images; None of others."""
+        is_plain = type(self)._execute is ImageSequential._execute and type(self)._in_turns is ImageSequential._in_turns
+        if params is not None or self.random_apply is not None or not is_plain or not len(self):
+            return None
+        if list(keys).count(DataKey.INPUT) != 1:  # others replay the parameters
+            return None
+        context = self._context(seed, generator)._replace(has_labels=len(keys) > 1)
+        children = [Child(name, module) for name, module in self._modules.items()]
+        images = inputs[keys.index(DataKey.INPUT)]
+        results = run_list(images, children, context)
+        if results is None:
+            return None
+        y, parts = results
+        return self._with_labels_of_list(keys, inputs, y, parts), Record.of_parts(parts)
+
+    def _with_labels_of_list(self, keys: Sequence[DataKey], inputs: Sequence[Any], y: Any, parts: Any) -> list[Any]:
+        """What the inputs of a call on a list become, whose images became y."""
+        return [y]
 
     def _call_part(
         self, keys: Sequence[DataKey], inputs: list[Any], params: Any, seed: Seed, generator: Generator | None
@@ -405,8 +430,7 @@ class ImageSequential(ImageSequentialBase):
         else:
             children = self._children_of_call(params, context)
             y, stages = execute(x, children, context)
-        shape = tuple(x.shape) if isinstance(x, Tensor) else largest_shape(x)
-        record = Record(shape, children, Chain(stages))
+        record = Record(tuple(x.shape) if isinstance(x, Tensor) else None, children, Chain(stages))
         record.size, record.is_of_list = tuple(y.shape[2:]), isinstance(x, list)
         record.identity = matrix_type(y)
         return y, record
@@ -566,10 +590,10 @@ class ImageSequential(ImageSequentialBase):
             inner = [m for m in self.modules() if m is not self and isinstance(m, ImageSequential)]
             returns = any(m.return_transform for m in inner)
             self._plans.keep("returns", returns)
-        if record.parts is not None:
-            return record.parts.matrix(self._matrix_of_inner)
         if not returns or record.shape is None:
             return None
+        if record.parts is not None:
+            return record.parts.matrix(self._matrix_of_inner)
         matrix = record.identity_matrix()
         for child in record.children:
             module = child.module

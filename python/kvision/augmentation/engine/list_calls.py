@@ -22,6 +22,7 @@ from kvision.augmentation.engine.record import SomeParamItem
 from kvision.augmentation.keys import Seed, check_seeds, draw_keys
 from kvision.constants import DataKey
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
+from kvision.geometry.transform.lists.arguments import check_list
 
 _SEEDS = 1 << 24  # the position in the chain of draws of seeds, behind those of all augmentations and choices
 _SHAPE = "forward_input_shape"
@@ -144,8 +145,8 @@ def call_in_parts(
     `modules` are what is called and what is in it. `call` gives the results of a part, and what was drawn and done, for its
     inputs, parameters, seed and generator.
     """
-    module, images = modules[0], inputs[keys.index(DataKey.INPUT)]
-    op = type(module).__name__
+    module = modules[0]
+    op, images = type(module).__name__, check_list(type(module).__name__, "input", inputs[keys.index(DataKey.INPUT)])
     _refuse_list(op, modules)
     has_seeds = isinstance(seed, Tensor) and seed.dim() == 1
     parts, each, seeds = Parts(op, _rows_of_parts(images, modules, has_seeds)), [], None

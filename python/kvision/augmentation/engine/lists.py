@@ -19,14 +19,14 @@ from kvision.augmentation.columns import Column, Columns, Span, plan_draws
 from kvision.augmentation.draws import SIZED, Request
 from kvision.augmentation.engine.call_context import CallContext
 from kvision.augmentation.engine.call_labels import CallLabels
-from kvision.augmentation.engine.execution import Execution, Params, matrix_type
+from kvision.augmentation.engine.execution import Execution, ListExecution, Params, matrix_type
 from kvision.augmentation.engine.list_calls import SIZES
 from kvision.augmentation.engine.record import Child
 from kvision.augmentation.engine.stages import Applied, MaskReading, Warp
 from kvision.augmentation.maps import exact, warp_each
 from kvision.augmentation.transforms import Transform, transform_matrix
 from kvision.core.exceptions import ShapeError
-from kvision.geometry.transform.lists.arguments import largest_shape, like_batch
+from kvision.geometry.transform.lists.arguments import like_batch
 from kvision.geometry.transform.lists.arguments import sizes as sides_of
 
 
@@ -39,6 +39,11 @@ class ListPlan(NamedTuple):
     )  # of all draws, but for the sizes in those of SIZED; None if others depend on the size, too
     sizes_at: list[int]  # where the heights are among the numbers, before the widths
     chain: Sequence[Transform] | None  # of the matrix; None if it depends on the size
+
+    @property
+    def only_windows_differ(self) -> bool:
+        """Whether draws and matrix have nothing of an image but its size, where windows of it are drawn."""
+        return self.numbers is not None and self.chain is not None
 
 
 def list_plan(module: Any) -> ListPlan | None:
@@ -90,7 +95,11 @@ def _numbers(request: Request | None) -> list[float]:
 
 @dataclass
 class ListWarp(Warp):
-    """The warp of a list; `source` has height and width of each image."""
+    """The warp of a list; `source` is the call, which has height and width of each image."""
+
+    @property
+    def sides(self) -> list[int]:
+        return list(self.source.sides)  # type: ignore[attr-defined]
 
     def source_size(self) -> Any:
         return None  # of all images
@@ -101,22 +110,23 @@ class ListWarp(Warp):
         return warp_each([exact(m) for m in masks], self.matrix, list(self.size), resampling)[0].to(masks[0].dtype)
 
     def move_masks_back(self, masks: Tensor) -> Any:
-        back = warp_each(list(exact(masks)), self.matrix, self.source, self.resampling.for_inverse("nearest"), False)
+        back = warp_each(list(exact(masks)), self.matrix, self.sides, self.resampling.for_inverse("nearest"), False)
         return [m.to(masks.dtype) for m in _as_list(back)]
 
     def invert(self, x: Tensor) -> Any:
-        return _as_list(warp_each(list(x), self.matrix, self.source, self.resampling.for_inverse(), False))
+        return _as_list(warp_each(list(x), self.matrix, self.sides, self.resampling.for_inverse(), False))
 
     def move_mask_list(self, op: str, masks: Any, reading: MaskReading) -> list[Tensor]:
         """Masks (N, H, W) or (H, W) of each image, moved: (N, h, w) of each."""
-        count = len(self.source) // 2
+        sides = self.sides
+        count = len(sides) // 2
         if not isinstance(masks, (list, tuple)) or len(masks) != count:
             got = len(masks) if isinstance(masks, (list, tuple)) else type(masks).__name__
             raise ShapeError(f"{op}: expected mask to be a list of {count}, one of each image, got {got}")
         labels.check_tensors("the masks of an image", masks)
         planes, counts = [], []
         for b, mask in enumerate(masks):
-            size = tuple(self.source[2 * b : 2 * b + 2])
+            size = tuple(sides[2 * b : 2 * b + 2])
             if mask.dim() not in (2, 3) or tuple(mask.shape[-2:]) != size:
                 raise ShapeError(
                     f"{op}: expected mask[{b}] of shape (N, {size[0]}, {size[1]}), got {tuple(mask.shape)}"
@@ -137,31 +147,39 @@ class ListCall:
     columns: Columns
     dtype: torch.dtype  # of matrices
 
-    def __init__(self, images: Sequence[Tensor], module: Any) -> None:
+    def __init__(self, batch: int, channels: int, sides: Sequence[int] | Tensor, module: Any) -> None:
         plan = list_plan(module)
         assert plan is not None
-        self.plan, self.module, self.sides, self.shape = plan, module, sides_of(images), largest_shape(images)
+        self.plan, self.module, self._batch, self._sides = plan, module, (batch, channels), sides
+
+    @property
+    def sides(self) -> Sequence[int]:
+        """Height and width of each image."""
+        if isinstance(self._sides, Tensor):
+            self._sides = self._sides.flatten().tolist()
+        return self._sides
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """(B, C, H, W) with the largest sides."""
+        return (*self._batch, max(self.sides[::2]), max(self.sides[1::2]))
 
     @property
     def shapes(self) -> list[tuple[int, ...]]:
         """(B, C, H, W) with the size of each image."""
-        return [(*self.shape[:2], h, w) for h, w in zip(self.sides[::2], self.sides[1::2])]
+        return [(*self._batch, h, w) for h, w in zip(self.sides[::2], self.sides[1::2])]
 
-    @property
-    def only_windows_differ(self) -> bool:
-        """Whether draws and matrix have nothing of an image but its size, where windows of it are drawn."""
-        return self.plan.numbers is not None and self.plan.chain is not None
-
-    def numbers_of_draws(self) -> list[float]:
-        """Those of each image, behind the probabilities of the augmentation."""
+    def listed_draws(self) -> tuple[Sequence[int], list[float]]:
+        """The draws of the augmentation, by their positions, and their numbers for the first image, the second, ..."""
+        draws = range(len(self.module._request((*self._batch, *self.sides[:2])).draws))
         if self.plan.numbers is None:
-            return [number for shape in self.shapes for number in _numbers(self.module._request(shape))[2:]]
+            return draws, [number for shape in self.shapes for number in _numbers(self.module._request(shape))[2:]]
         own = self.plan.numbers[2:]
-        numbers = own * self.shape[0]
+        numbers = own * self._batch[0]
         for at in self.plan.sizes_at:
             numbers[at - 2 :: len(own)] = self.sides[::2]
             numbers[at - 1 :: len(own)] = self.sides[1::2]
-        return numbers
+        return draws, numbers
 
     def with_sizes(self, columns: Tensor | None, like: Tensor) -> Tensor | None:
         """Columns (B, P), and behind them what :func:`chain_of_list` reads."""
@@ -176,9 +194,9 @@ class ListCall:
         self, columns: Columns, type_of_matrix: tuple[torch.device, torch.dtype], matrix: Tensor | None = None
     ) -> Execution:
         """The record of the call. Its parameters, and its matrices if they are not given, are computed when they are asked for."""
-        execution = Execution(self.shape, columns, is_certain=True)
+        execution = ListExecution(self, columns, is_certain=True)
         execution.identity, execution.matrix = type_of_matrix, matrix
-        self.columns, self.dtype, execution.of_list = columns, type_of_matrix[1], self
+        self.columns, self.dtype = columns, type_of_matrix[1]
         return execution
 
     def params(self, read: Any = None) -> Params:
@@ -230,7 +248,8 @@ def execute_list(
 ) -> tuple[Tensor, ListWarp, bool]:
     """The batch that the first augmentation makes of a list, what labels have to follow, and whether anything was drawn."""
     module: Any = child.module
-    own, flags, like = ListCall(images, module), module.flags, like_batch(images)
+    own = ListCall(len(images), images[0].shape[0], sides_of(images), module)
+    flags, like = module.flags, like_batch(images)
     values = torch.empty(len(images), 0, device=like.device)
     generator, request = module._param_generator, module._request(own.shapes[0])
     draws = child.params is None and request is not None
@@ -240,7 +259,7 @@ def execute_list(
         keys = context.keys([module], like)
         context.check_seeds(keys, len(images))
         (plan,) = plan_draws([request], keys.has_seed, position if keys.has_seed else 0)
-        values = plan.draw_list(like, keys, own.numbers_of_draws())
+        values = plan.draw_list(like, keys, *own.listed_draws())
         if module._derives:
             values = _derived(module, values, images, context.labels)
     columns = Columns(values.to(compute_dtype(like)), Span(0, values.shape[1], False))
@@ -248,7 +267,8 @@ def execute_list(
     matrix, size = module._matrix(execution), list(own.plan.size)
     batch = module._warp_list(list(images), matrix, size, flags)
     parts = [Applied(module, execution, flags)] if module.removes_boxes else ()
-    return batch, ListWarp(matrix, own.sides, size, module.resampling(flags), parts=parts), draws
+    warp = ListWarp(matrix, own, size, module.resampling(flags), parts=parts)  # type: ignore[arg-type]
+    return batch, warp, draws
 
 
 def _derived(module: Any, drawn: Tensor, images: Sequence[Tensor], call_labels: CallLabels | None) -> Tensor:

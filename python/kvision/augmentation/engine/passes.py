@@ -7,8 +7,9 @@ augmentations that run by themselves.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import torch
@@ -19,9 +20,9 @@ from kvision.augmentation.columns import DrawPlan
 from kvision.augmentation.displacements import NoiseField
 from kvision.augmentation.drawn_links import DrawnLinks
 from kvision.augmentation.drawn_pass import DrawnPass
-from kvision.augmentation.engine.augmentation import AugmentationBase
 from kvision.augmentation.engine.contribution import Motion
 from kvision.augmentation.engine.execution import Execution, Shape, check_images
+from kvision.augmentation.engine.executor import Executor
 from kvision.augmentation.engine.stages import Applied, ByMatrix, Composed, Stage, Warp
 from kvision.augmentation.samples import where_chosen
 from kvision.augmentation.transforms import MAX_TRANSFORMS, MatrixPlan, Transform, keeps_rows, transform_matrix
@@ -80,20 +81,33 @@ class Joined(NamedTuple):
     resampling: Resampling | None
 
     def run(self, x: Tensor, running: Running) -> tuple[Tensor, Stage | None]:
-        columns = running.columns
-        x, matrix = self.image_pass.run(x, columns) if running.result is None else running.result
+        y, matrix = self.image_pass.run(x, running.columns) if running.result is None else running.result
         running.result = None
+        return y, self.stage(x, matrix, running)
+
+    def replayed(self, like: Tensor, running: Running) -> Stage | None:
+        """The stage of images that were moved already, like a batch of their type and device."""
+        columns = running.columns
         if not self.geometric:
-            return x, None
+            return None
+        dtype = compute_dtype(like)
+        columns = like.new_empty(running.executions[0].shape[0], 0, dtype=dtype) if columns is None else columns
+        return self.stage(like, transform_matrix(as_dtype(columns, dtype), self.chain), running)
+
+    def stage(self, x: Tensor, matrix: Tensor | None, running: Running) -> Stage | None:
+        """What labels have to follow, by the matrices of the warp of images like x; None for colors."""
+        columns = running.columns
+        if not self.geometric:
+            return None
         assert matrix is not None
         if len(self.geometric) == 1:
             applied = running.applied(self.geometric[0])
             applied.execution.keep_matrix(matrix)
-            return x, applied
+            return applied
         if columns is not None and columns.requires_grad:
             matrix = transform_matrix(as_dtype(columns, compute_dtype(x)), self.chain)
         assert self.resampling is not None
-        return x, Warp(matrix, self.source, self.size, self.resampling, parts=running.parts(self.geometric))
+        return Warp(matrix, self.source, self.size, self.resampling, parts=running.parts(self.geometric))
 
     def drawn_with(self, draws: DrawPlan, planned: Planned) -> DrawnPass:
         return DrawnPass(draws, self.image_pass, planned.shapes[0], planned.dtype)
@@ -164,19 +178,19 @@ class Planned(NamedTuple):
 
 
 def plan_steps(
-    modules: Sequence[AugmentationBase],
+    modules: Sequence[Executor],
     executions: Sequence[Execution],
     once: bool,
     dtype: torch.dtype,
     output: Output,
-    first_chain: Sequence[Transform] | None = None,
+    chains: Mapping[int, Sequence[Transform]] = MappingProxyType({}),
 ) -> list[Step]:
     """What is executed for these executions, of whose columns only the spans count, on images of a type.
 
-    `once`: neighboring geometric augmentations are resampled once. `output` is the type and layout of the result. `first_chain`
-    replaces that of the first augmentation, bound to its columns.
+    `once`: neighboring geometric augmentations are resampled once. `output` is the type and layout of the result. `chains`
+    replace those of augmentations, by their numbers, bound to their columns.
     """
-    planner = _Planner(once, dtype, first_chain)
+    planner = _Planner(once, dtype, chains)
     for number, (module, execution) in enumerate(zip(modules, executions)):
         planner.add(number, module, execution)
     return planner.finish(output)
@@ -194,15 +208,15 @@ class _Geometric(NamedTuple):
 class _Planner:
     """Neighboring augmentations that wait to be joined in one pass, and the steps before them."""
 
-    def __init__(self, once: bool, dtype: torch.dtype, first_chain: Sequence[Transform] | None) -> None:
-        self.once, self.first_chain = once, first_chain
+    def __init__(self, once: bool, dtype: torch.dtype, chains: Mapping[int, Sequence[Transform]]) -> None:
+        self.once, self.chains = once, chains
         self.dtype = dtype  # of the images that come next
         self.converted: torch.dtype | None = None  # of the result of the pending color steps, if it is another one
         self.steps: list[Step] = []
         self.geometric: list[_Geometric] = []
         self.parts: list[ColorPart] = []
 
-    def add(self, number: int, module: AugmentationBase, execution: Execution) -> None:
+    def add(self, number: int, module: Executor, execution: Execution) -> None:
         if not execution.applied:
             return
         shape, columns = execution.shape, execution.columns
@@ -218,8 +232,7 @@ class _Planner:
             constants = module._constants(shape, execution.params)
             self._add_colors(module._color_part(colors, span, constants), result)
         elif motion is not None and (motion.is_map or has_columns) and (self.once or motion.reads_by_matrix):
-            chain = self.first_chain if number == 0 else None
-            chain = module._bound(motion.chain or (), span) if chain is None else chain
+            chain = self.chains.get(number) or module._bound(motion.chain or (), span)
             self._add_motion(_Geometric(number, motion, chain, (shape[-2], shape[-1])))
         else:
             self._flush()

@@ -102,12 +102,20 @@ class Record:
     def __init__(
         self, shape: tuple[int, ...] | None = None, children: Sequence[Child] = (), stages: Chain | None = None
     ) -> None:
-        self.shape, self.children, self.stages = shape, children, stages or Chain()
+        self._shape, self.children, self.stages = shape, children, stages or Chain()
+
+    @property
+    def shape(self) -> tuple[int, ...] | None:
+        if self._shape is None and (self.is_of_list or self.parts is not None):  # which is read where it is asked for
+            self._shape = self.children[0].record.shape if self.parts is None else self.parts.shape
+        return self._shape
 
     @classmethod
     def of_parts(cls, parts: Any) -> Record:
         """A call on a list, in parts."""
-        return cls(parts.shape).replaced(parts=parts)
+        record = cls()
+        record.parts = parts
+        return record
 
     def identity_matrix(self) -> Tensor:
         """Identity matrices for the samples of images or volumes of the call, on their device."""
@@ -118,6 +126,6 @@ class Record:
 
     def replaced(self, **values: Any) -> Record:
         """The same call with other values."""
-        record = Record()
-        record.__dict__.update(self.__dict__, **values)
+        record, shape = Record(), self.shape
+        record.__dict__.update(self.__dict__, _shape=shape, **values)
         return record

@@ -18,7 +18,7 @@ decided once for them.
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -29,22 +29,24 @@ from kvision.augmentation.columns import Columns, DrawPlan, Span, identity_value
 from kvision.augmentation.drawn_links import DrawnLinks
 from kvision.augmentation.drawn_pass import DrawnPass
 from kvision.augmentation.draws import Request
-from kvision.augmentation.engine.augmentation import AugmentationBase
 from kvision.augmentation.engine.call_context import CallContext
 from kvision.augmentation.engine.configuration import Plans
 from kvision.augmentation.engine.declaration import size_of
 from kvision.augmentation.engine.execution import Execution, Shape, matrix_type
+from kvision.augmentation.engine.executor import Executor
 from kvision.augmentation.engine.frames import frames_pass
 from kvision.augmentation.engine.list_calls import SIZES
-from kvision.augmentation.engine.lists import ListCall, ListWarp, chain_of_list, execute_list
+from kvision.augmentation.engine.lists import ListCall, ListWarp, chain_of_list, execute_list, list_plan
 from kvision.augmentation.engine.passes import Alone, Joined, Planned, Running, Step, plan_steps
 from kvision.augmentation.engine.record import Child
 from kvision.augmentation.engine.stages import Applied, Stage
 from kvision.augmentation.keys import Keys, check_seeds
+from kvision.augmentation.transforms import Transform
 from kvision.augmentation.warp_and_color import SAME
 from kvision.augmentation.warp_and_color_list import warp_and_color_list
 from kvision.color.frames import Frames
 from kvision.geometry.transform.lists.arguments import like_batch
+from kvision.geometry.transform.lists.arguments import sizes as sides_of
 
 
 def execute(
@@ -62,11 +64,11 @@ def execute(
         x, rest = execute(x, children[ran:], context.after(first), position + drawn, ran - drawn)
         return x, [*first, *rest]
     key = _key(x, children, context, position)
-    plan: _RunPlan | None = context.plans.get(key)
+    plan: RunPlan | None = context.plans.get(key)
     if plan is not None:
         return _execute_run(x, children, context, position, plan)
     stages: list[Stage] = []
-    runs = _runs(children, context.plans)
+    runs = runs_of(children, context.plans)
     if context.source is not None and not (runs and _reads_frames(*runs[0])):
         x, context = images_of(context.source), context._replace(source=None)
     for i, (run, is_joined) in enumerate(runs):
@@ -112,7 +114,7 @@ def _execute_list(
     """The first children on a list of images, of which the first one makes it a batch: the result, the stages, how many they
     are, and how many positions in the chain of draws they take.
     """
-    run, is_joined = _runs(children, context.plans)[0]
+    run, is_joined = runs_of(children, context.plans)[0]
     if is_joined and run[0].params is None:
         own = context if len(run) == len(children) else context._replace(output=SAME)
         x, modules = images[0], map(id, [child.module for child in run])
@@ -125,15 +127,15 @@ def _execute_list(
     return context.converted(x) if len(children) == 1 else x, [stage], 1, int(draws)
 
 
-def _list_plan(images: list[Tensor], run: Sequence[Child], context: CallContext, position: int) -> _RunPlan | None:
+def _list_plan(images: list[Tensor], run: Sequence[Child], context: CallContext, position: int) -> RunPlan | None:
     """The plan of a run on a list, whatever its sizes; None where the first child is executed by itself."""
     modules: list[Any] = [child.module for child in run]  # augmentations
     # What decides in each call whether it is applied, or reads labels, is executed after the first one.
-    decides = any(_decides(m) or m._derives for m in modules)
-    if decides or context.frames > 1 or context.owners is not None or context.is_certain:
+    is_decided = any(decides(m) or m._derives for m in modules)
+    if is_decided or context.frames > 1 or context.owners is not None or context.is_certain:
         return None
     x = images[0].detach().new_empty(1).expand(len(images), images[0].shape[0], *SIZES[0])
-    plan, _ = _plan_run(x, modules, context, position, of_list=True)
+    plan, _ = plan_run(x, modules, context, position, _first_chain)
     step = plan.steps[0] if plan.steps else None
     is_joined = isinstance(step, Joined) and len(step.geometric) > 0 and step.geometric[0] == 0
     if not is_joined or len(plan.draws) > 1 or any(draws.learned is not None for draws in plan.draws):
@@ -141,31 +143,41 @@ def _list_plan(images: list[Tensor], run: Sequence[Child], context: CallContext,
     return plan
 
 
+def _first_chain(modules: Sequence[Executor], calls: Sequence[Call], columns: int) -> Mapping[int, Sequence[Transform]]:
+    """The chain of the first augmentation of a list, where it reads what depends on the sizes from columns behind `columns`."""
+    chain = chain_of_list(modules[0], calls[0].span, columns)
+    return {} if chain is None else {0: chain}
+
+
 def _execute_list_run(
-    images: list[Tensor], run: Sequence[Child], context: CallContext, plan: _RunPlan
+    images: list[Tensor], run: Sequence[Child], context: CallContext, plan: RunPlan
 ) -> tuple[Tensor, list[Stage]]:
-    modules: list[AugmentationBase] = [child.module for child in run]  # type: ignore[misc]  # by _runs
+    modules: list[Executor] = [child.module for child in run]  # type: ignore[misc]  # by runs_of
     like, step = like_batch(images), plan.steps[0]
     assert isinstance(step, Joined) and step.resampling is not None
     keys = context.keys(plan.drawing, like) if plan.draws else None
     context.check_seeds(keys, len(images))
-    own, first, result = ListCall(images, modules[0]), plan.calls[0], None
+    first, result, own_plan = plan.calls[0], None, list_plan(modules[0])
     draws = first.number is not None
-    if isinstance(plan.drawn, DrawnPass) and keys is not None and draws and own.only_windows_differ:
+    if isinstance(plan.drawn, DrawnPass) and keys is not None and draws and own_plan and own_plan.only_windows_differ:
         result = plan.drawn.run_list(images, keys)
     columns: Tensor | None = None
+    sides: Any = sides_of(images) if result is None else result[3]
+    own = ListCall(len(images), images[0].shape[0], sides, modules[0])
     if result is not None:
-        x, matrix, columns = result
+        x, matrix, columns, _ = result
     else:
         if keys is not None:
-            columns = plan.draws[0].draw_list(like, keys, own.numbers_of_draws() if draws else ())
+            columns = (
+                plan.draws[0].draw_list(like, keys, *own.listed_draws()) if draws else plan.draws[0].draw(like, keys)
+            )
         columns = own.with_sizes(columns, like)
         x, matrix, _ = warp_and_color_list(images, *step.image_pass.arguments(like, columns))
     executions = plan.executions(like, columns, keys)
     drawn = like.new_empty(len(images), 0, dtype=torch.float32) if columns is None else columns
     known = matrix if len(step.geometric) == 1 else None
     executions[0] = own.execution(Columns(drawn, first.span or Span(0, 0, False)), matrix_type(like), known)
-    stage = ListWarp(matrix, own.sides, list(step.size), step.resampling)
+    stage = ListWarp(matrix, own, list(step.size), step.resampling)  # type: ignore[arg-type]
     running = Running(modules, executions, columns, context.has_labels)
     x, more = _run_steps(x, run, plan.steps[1:], running)
     return x, [stage, *more]
@@ -200,17 +212,17 @@ def _key(x: Tensor, children: Sequence[Child], context: CallContext, position: i
     return (*own, *modules) if source is None else ("frames", *own, *modules)
 
 
-def _runs(children: Sequence[Child], plans: Plans) -> list[tuple[Sequence[Child], bool]]:
+def runs_of(children: Sequence[Child], plans: Plans) -> list[tuple[Sequence[Child], bool]]:
     """Split children into augmentations that draw together, with True, and what runs by itself."""
     key = ("runs", *[(id(child.module), child.params is None) for child in children])
     runs, first = [], 0
-    for length, is_joined in plans.made(key, lambda: _lengths_of_runs(children)):
+    for length, is_joined in plans.made(key, lambda: _lengths_ofruns_of(children)):
         runs.append((children[first : first + length], is_joined))
         first += length
     return runs
 
 
-def _lengths_of_runs(children: Sequence[Child]) -> list[tuple[int, bool]]:
+def _lengths_ofruns_of(children: Sequence[Child]) -> list[tuple[int, bool]]:
     lengths: list[tuple[int, bool]] = []
     before: Child | None = None
     for child in children:
@@ -237,7 +249,7 @@ def _has_known_size(module: Any) -> bool:
 # --- runs of augmentations ------------------------------------------------------------------------------------------
 
 
-class _Call(NamedTuple):
+class Call(NamedTuple):
     """What an augmentation of a run draws and whether it is applied, for images of one shape."""
 
     shape: Shape
@@ -248,12 +260,12 @@ class _Call(NamedTuple):
     derived_from: Span | None = None  # the drawn columns, of one whose columns are derived
 
 
-class _RunPlan(NamedTuple):
+class RunPlan(NamedTuple):
     """What a run of augmentations draws and executes, for images of one shape."""
 
-    calls: Sequence[_Call]
+    calls: Sequence[Call]
     draws: Sequence[DrawPlan]
-    drawing: Sequence[AugmentationBase]  # the augmentation of each request
+    drawing: Sequence[Executor]  # the augmentation of each request
     steps: Sequence[Step]
     first: int  # number of the first key, or position in the chain
     derives: bool  # whether any has columns that are derived
@@ -290,9 +302,9 @@ class _RunPlan(NamedTuple):
 
 
 def _execute_run(
-    x: Tensor, run: Sequence[Child], context: CallContext, position: int, plan: _RunPlan | None = None
+    x: Tensor, run: Sequence[Child], context: CallContext, position: int, plan: RunPlan | None = None
 ) -> tuple[Tensor, list[Stage]]:
-    modules: list[AugmentationBase] = [child.module for child in run]  # type: ignore[misc]  # by _runs
+    modules: list[Executor] = [child.module for child in run]  # type: ignore[misc]  # by runs_of
     result: tuple[Tensor, Tensor | None] | None = None
     links: Sequence[Tensor] | None = None
     if run[0].params is not None:
@@ -336,7 +348,7 @@ def _replay(x: Tensor, run: Sequence[Child]) -> tuple[list[Execution], Tensor | 
     """The executions of augmentations with given parameters, and the columns of all."""
     executions, shape, drawn = [], tuple(x.shape), []
     for child in run:
-        module: AugmentationBase = child.module  # type: ignore[assignment]  # by _runs
+        module: Executor = child.module  # type: ignore[assignment]  # by runs_of
         execution = module._from_params(child.params, x.new_empty(1).expand(shape))  # of its shape only
         if execution.applied:
             shape = module.output_shape(execution.shape, module.flags)
@@ -353,30 +365,29 @@ def _replay(x: Tensor, run: Sequence[Child]) -> tuple[list[Execution], Tensor | 
     return executions, columns
 
 
-def _kept_plan(x: Tensor, run: Sequence[Child], context: CallContext, position: int) -> tuple[_RunPlan, Keys | None]:
-    """The cached or new plan of a run, and the keys that `_plan_run` had to draw."""
+def _kept_plan(x: Tensor, run: Sequence[Child], context: CallContext, position: int) -> tuple[RunPlan, Keys | None]:
+    """The cached or new plan of a run, and the keys that `plan_run` had to draw."""
     key = _key(x, run, context, position)
-    plan: _RunPlan | None = context.plans.get(key)
+    plan: RunPlan | None = context.plans.get(key)
     if plan is not None:
         return plan, None
-    modules: list[AugmentationBase] = [child.module for child in run]  # type: ignore[misc]  # by _runs
-    plan, keys = _plan_run(x, modules, context, position)
-    decides = not context.is_certain and any(map(_decides, modules))
-    if not decides and all(draws.learned is None for draws in plan.draws):
+    modules: list[Executor] = [child.module for child in run]  # type: ignore[misc]  # by runs_of
+    plan, keys = plan_run(x, modules, context, position)
+    if (context.is_certain or not any(map(decides, modules))) and all(draws.learned is None for draws in plan.draws):
         context.plans.keep(key, plan)
     return plan, keys
 
 
-def _decides(module: AugmentationBase) -> bool:
+def decides(module: Executor) -> bool:
     """Whether the host decides in each call if a batch is augmented, whose size changes."""
     return module.whole_batch and 0 < module.p_batch < 1
 
 
 def _with_derived(
-    modules: Sequence[AugmentationBase],
+    modules: Sequence[Executor],
     executions: Sequence[Execution],
     columns: Tensor,
-    plan: _RunPlan,
+    plan: RunPlan,
     context: CallContext,
 ) -> Tensor:
     """The columns of a run, and behind them those that augmentations derive from the labels that are there before each of them."""
@@ -400,19 +411,20 @@ def _with_derived(
     return columns
 
 
-def _plan_run(
-    x: Tensor, modules: Sequence[AugmentationBase], context: CallContext, position: int, of_list: bool = False
-) -> tuple[_RunPlan, Keys | None]:
+def plan_run(
+    x: Tensor, modules: Sequence[Executor], context: CallContext, position: int, chains_of_list: Any = None
+) -> tuple[RunPlan, Keys | None]:
     """The plan of a run. If it depends on keys, these are drawn and returned for all requests; otherwise they are None.
 
-    `of_list`: x stands for a list, and the matrix of the first augmentation reads what depends on the sizes from columns.
+    Where x stands for a list, `chains_of_list(modules, calls, columns)` gives chains by the numbers of augmentations, which read
+    what depends on the sizes from columns behind those that are drawn.
     """
     has_seed, has_owners = context.seed is not None, context.owners is not None
     first, shape = position if has_seed else 0, tuple(x.shape)
     samples = -(-shape[0] // context.frames)  # which stays symbolic in a graph
-    calls: list[_Call] = []
+    calls: list[Call] = []
     requests: list[Request] = []
-    drawing: list[AugmentationBase] = []
+    drawing: list[Executor] = []
     keys: Keys | None = None
     for module in modules:
         may_apply = context.is_certain or (module.p > 0 and module.p_batch > 0)
@@ -421,13 +433,13 @@ def _plan_run(
         if request is not None:
             requests.append(request)
             drawing.append(module)
-            if _decides(module) and not context.is_certain:
+            if decides(module) and not context.is_certain:
                 # What changes sizes by chance decides with its key on the host, before those after it are planned.
                 keys = context.keys(drawing, x, keys)
         known = None if request is None else keys
         applies = context.is_certain or module._applies(known, first + number if has_seed else number)
         is_certain = not has_owners and (context.is_certain or module._is_certain)
-        calls.append(_Call(shape, applies, is_certain, None if request is None else number, None))
+        calls.append(Call(shape, applies, is_certain, None if request is None else number, None))
         if applies:
             shape = module.output_shape(shape, module.flags)
     if keys is not None:
@@ -452,10 +464,10 @@ def _plan_run(
         Execution(call.shape, None if call.span is None else Columns(x, call.span), applied=call.applies)
         for call in calls
     ]  # of their spans only
-    first_chain = chain_of_list(modules[0], calls[0].span, width) if of_list else None
-    steps = plan_steps(modules, planned, context.once, x.dtype, context.output, first_chain)
+    chains = {} if chains_of_list is None else chains_of_list(modules, calls, width)
+    steps = plan_steps(modules, planned, context.once, x.dtype, context.output, chains)
     derives = any(call.derived_from is not None for call in calls)
-    plan = _RunPlan(calls, draws, drawing, steps, first, derives)
+    plan = RunPlan(calls, draws, drawing, steps, first, derives)
     if has_owners:
         owners, identity = _owners_of_columns(requests, spans)
         plan = plan._replace(owners=owners, identity=identity)

@@ -19,34 +19,63 @@ from kvision.geometry.transform.nearest import as_values, moves_values, of_value
 
 
 class ImageList(list[Tensor]):
-    """A list of images (C, H, W) that was checked, with its sizes: to ask each image again takes the host longer than a launch."""
+    """A list of images (C, H, W), which is checked where its sizes are read, once: to ask each image takes the host longer than
+    a launch. Kernels that read the sizes themselves check it, too, but say less of what is wrong.
+    """
 
-    def __init__(self, images: Sequence[Tensor], heights: Sequence[int], widths: Sequence[int]) -> None:
+    def __init__(self, op: str, name: str, images: Sequence[Tensor]) -> None:
         super().__init__(images)
-        self.heights, self.widths = heights, widths
+        self._op, self._name = op, name
+
+    @cached_property
+    def _sides(self) -> tuple[Sequence[int], Sequence[int]]:
+        return _checked_sides(self._op, self._name, self)
+
+    def check(self) -> ImageList:
+        """The list; raises unless it has images of one type, device and number of channels."""
+        _ = self._sides
+        return self
 
     @cached_property
     def sides(self) -> list[int]:
         sides = [0] * (2 * len(self))
-        sides[::2], sides[1::2] = self.heights, self.widths
+        sides[::2], sides[1::2] = self._sides
         return sides
 
     @cached_property
     def largest_shape(self) -> tuple[int, ...]:
-        return (len(self), self[0].shape[0], max(self.heights), max(self.widths))
+        return (len(self), self[0].shape[0], *map(max, self._sides))
+
+
+def unchecked_list(op: str, name: str, images: Any) -> list[Tensor]:
+    """An ImageList that is not checked yet but for its first image; in graphs the list, checked."""
+    if type(images) is ImageList:
+        return images
+    if is_compiling() or not images or {*map(type, images)} != {Tensor}:
+        return check_list(op, name, images)
+    _check.shape(op, f"{name}[0]", images[0], "C", "H", "W")
+    return ImageList(op, name, images)
 
 
 def check_list(op: str, name: str, images: Any) -> list[Tensor]:
     """The list, an ImageList but in graphs; raises unless it has images (C, H, W) of one type, device and number of channels."""
     if type(images) is ImageList:
-        return images
+        return images.check()
     if not images:
         raise ShapeError(f"{op}: expected {name} with at least one image, got an empty list")
-    first = images[0]
-    _check.shape(op, f"{name}[0]", first, "C", "H", "W")
+    _check.shape(op, f"{name}[0]", images[0], "C", "H", "W")
+    if is_compiling():
+        _checked_sides(op, name, images)
+        return list(images)
+    return ImageList(op, name, images).check()
+
+
+def _checked_sides(op: str, name: str, images: Sequence[Tensor]) -> tuple[Sequence[int], Sequence[int]]:
+    """The heights and widths of a list; raises what is wrong with it."""
     sides = _uniform_sides(images)
     if sides is not None:
-        return list(images) if is_compiling() else ImageList(images, *sides)
+        return sides
+    first = images[0]
     for i, x in enumerate(images):
         if type(x) is not Tensor or x.dim() != 3 or 0 in x.shape[1:]:
             _check.shape(op, f"{name}[{i}]", x, "C", "H", "W")
@@ -62,7 +91,8 @@ def check_list(op: str, name: str, images: Any) -> list[Tensor]:
             )
         if x.device != first.device:
             raise DeviceError(f"{op}: expected {name} on one device, got {first.device} and, at {i}, {x.device}")
-    return images if is_compiling() else ImageList(images, *zip(*(x.shape[1:] for x in images)))
+    _, heights, widths = zip(*(x.shape for x in images))
+    return heights, widths
 
 
 def _uniform_sides(images: Sequence[Any]) -> tuple[Sequence[int], Sequence[int]] | None:

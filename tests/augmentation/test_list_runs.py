@@ -1,0 +1,219 @@
+"""Runs of passes over lists of images: the bits of each image alone and of a batch, gradients, labels, graphs and launches."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import pytest
+import torch
+from torch._subclasses.fake_tensor import FakeTensorMode
+
+from augmentation.test_lists import SMALL, pictures, seeds_of
+from benchmarks.timing import launches
+from kvision import augmentation as A
+from kvision.augmentation.drawn_pass import DrawnListPass
+from kvision.augmentation.engine import list_runs
+from op_tests import assert_close
+
+PASSES = {
+    "flips": lambda: (A.RandomHorizontalFlip(), A.RandomVerticalFlip(p=1.0), A.D4()),
+    "affine": lambda: (A.RandomAffine(20.0, (0.1, 0.1), (0.8, 1.2), p=0.7),),
+    "perspective": lambda: (A.RandomPerspective(0.3, p=1.0), A.RandomGrayscale(p=0.5)),
+    "nearest": lambda: (A.RandomRotation(30.0, "nearest", p=1.0), A.RandomVerticalFlip()),
+    "colors": lambda: (A.ColorJitter(0.2, 0.2, 0.2, 0.1, p=0.8), A.RandomSolarize(), A.RandomPosterize()),
+    "everything": lambda: (
+        A.RandomHorizontalFlip(),
+        A.RandomAffine(20.0),
+        A.ColorJitter(0.2, 0.2, 0.2, 0.1),
+        A.Normalize(0.4, 0.3),
+    ),
+    "late crop": lambda: (A.RandomHorizontalFlip(), A.RandomResizedCrop((12, 14)), A.ColorJitter(0.2, 0.2)),
+}
+
+
+def is_by_passes(augment):
+    return type(augment._record.parts) is list_runs.ListParts
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+@pytest.mark.parametrize("dtype", [torch.uint8, torch.float16, torch.float32, torch.float64], ids=str)
+@pytest.mark.parametrize("name", PASSES)
+def test_passes_over_a_list(name, dtype, channels, device):
+    if channels == 1 and any(isinstance(m, (A.ColorJitter, A.RandomGrayscale)) for m in PASSES[name]()):
+        pytest.skip("colors have three channels")
+    augment, images = A.ImageSequential(*PASSES[name]()), [x[:channels] for x in pictures(device, SMALL, dtype)]
+    interleaved = [x.permute(1, 2, 0).contiguous().permute(2, 0, 1) for x in images]
+    views = [torch.nn.functional.pad(x, (1, 2, 3, 1))[:, 3:-1, 1:-2] for x in images]
+    seeds = seeds_of(images)
+    for given in (images, interleaved, views):
+        results = augment(given, seed=seeds)
+        assert is_by_passes(augment)
+        for b, x in enumerate(given):
+            assert torch.equal(results[b], augment(x[None], seed=seeds[b : b + 1])[0])
+    equal = [x[:, :15, :16].contiguous() for x in images]
+    for options in ({"seed": 3}, {}):
+        torch.manual_seed(0)
+        results = augment(equal, **options)
+        torch.manual_seed(0)
+        assert all(torch.equal(a, b) for a, b in zip(results, augment(torch.stack(equal), **options)))
+
+
+@pytest.mark.parametrize("name", PASSES)
+def test_gradients_of_passes_over_a_list(name, device):
+    """Those of each image alone; one that appears twice adds up."""
+    augment, images = A.ImageSequential(*PASSES[name]()), [x.requires_grad_() for x in pictures(device, SMALL)]
+    images[2] = images[0]
+    seeds = seeds_of(images)
+    weights = [torch.rand_like(y) for y in augment(images, seed=seeds)]
+    loss = sum((y * w).sum() for y, w in zip(augment(images, seed=seeds), weights))
+    assert is_by_passes(augment)
+    gradients = torch.autograd.grad(loss, [images[i] for i in (0, 1, 3)])
+    alone = [augment(x[None], seed=seeds[b : b + 1])[0] for b, x in enumerate(images)]
+    loss = sum((y * w).sum() for y, w in zip(alone, weights))
+    for of_list, of_image in zip(gradients, torch.autograd.grad(loss, [images[i] for i in (0, 1, 3)])):
+        assert_close(of_list, of_image, 1e-3, 1e-3)
+
+
+def test_results_in_another_type(device):
+    augment = A.ImageSequential(A.RandomHorizontalFlip(p=1.0), A.Normalize(0.5, 0.5), output_dtype=torch.float16)
+    images = pictures(device, SMALL, torch.uint8)
+    for x, y in zip(images, augment(images)):
+        assert y.dtype == torch.float16 and torch.equal(y, augment(x[None])[0])
+    assert not is_by_passes(A.ImageSequential(augment))
+
+
+@pytest.mark.parametrize("name", ["flips", "affine", "everything"])
+def test_as_many_launches_as_a_batch(name):
+    """With contrast two more where the planes of some images begin between vectors: no cluster of blocks keeps these."""
+    if not torch.cuda.is_available():
+        pytest.skip("needs a GPU")
+    augment = A.ImageSequential(*PASSES[name]())
+    for step, more in ((4, 0), (1, 2 * (name == "everything"))):
+        images = pictures("cuda", [(40 + i % 9, 52 + step * (i % 7)) for i in range(300)], torch.uint8)
+        batch = torch.stack([x[:, :40, :52] for x in images])
+        assert launches(partial(augment, images)) <= launches(partial(augment, batch)) + more
+
+
+def test_plans_of_passes_do_not_depend_on_the_sizes(device):
+    augment, counts = A.ImageSequential(*PASSES["everything"]()), set()
+    for i in range(40):
+        augment(pictures(device, [(40 + i, 50), (60, 70 - i)]))
+        counts.add(len(augment._plans._plans))
+    assert len(counts) == 1
+
+
+def test_what_is_no_linear_function_of_the_size_is_done_image_by_image(device):
+    class Odd(A.GeometricAugmentationBase2D):
+        def transforms(self, shape, flags):
+            return [A.Transform.affine((0.0, 0.0), translation=(shape[-1] % 3, 0.0))]
+
+    augment, images = A.ImageSequential(Odd(p=1.0)), pictures(device, SMALL)
+    results = augment(images)
+    assert not is_by_passes(augment)
+    assert all(torch.equal(y, augment(x[None])[0]) for x, y in zip(images, results))
+
+
+@pytest.mark.tracing
+@pytest.mark.parametrize("name", PASSES)
+def test_compiles_twice_at_most_a_length(name, device):
+    from torch._dynamo.testing import CompileCounter
+
+    counter, augment = CompileCounter(), A.ImageSequential(*PASSES[name]())
+    torch._dynamo.reset()
+    compiled = torch.compile(lambda images: augment(images, seed=3), fullgraph=True, backend=counter)
+    for sizes in (((20, 30), (41, 17), (15, 64)), ((16, 19), (21, 18), (25, 33)), ((18, 28), (51, 40), (16, 17))):
+        images = pictures(device, sizes)
+        assert all(torch.equal(a, b) for a, b in zip(compiled(images), augment(images, seed=3)))
+    assert counter.frame_count <= 2
+
+
+def test_labels_and_parameters_of_a_list_in_one_size(device):
+    """A late crop makes the list a batch, with masks of each image, boxes, the inverse and a replay."""
+    images = pictures(device, SMALL)
+    masks = [(x[:1] > 0.5).to(torch.uint8) for x in images]
+    boxes = [torch.tensor([[1.0, 2, 9, 12]], device=device) for _ in images]
+    augment = A.AugmentationSequential(*PASSES["late crop"](), data_keys=["input", "mask", "bbox_xyxy"])
+    seeds = seeds_of(images)
+    y, moved, edges = augment(images, masks, boxes, seed=seeds)
+    assert is_by_passes(augment) and y.shape == (4, 3, 12, 14)
+    params, matrices = augment._params, augment.transform_matrix
+    back = augment.inverse(y, data_keys=["input"])
+    for b, x in enumerate(images):
+        alone = augment(x[None], masks[b][None], [boxes[b]], seed=seeds[b : b + 1])
+        assert torch.equal(y[b], alone[0][0]) and torch.equal(moved[b], alone[1][0])
+        assert_close(edges[b], alone[2][0], 0, 0)
+        assert torch.equal(matrices[b], augment.transform_matrix[0])
+        assert torch.equal(back[b], augment.inverse(alone[0], data_keys=["input"])[0])
+    assert torch.equal(augment(images, masks, boxes, params=params)[0], y)
+
+
+def test_long_lists_are_those_of_their_parts(device):
+    images = pictures(device, [(4 + i % 7, 5 + i % 3) for i in range(520)])
+    augment, seeds = A.ImageSequential(*PASSES["everything"]()), torch.arange(520, device=device)
+    results, last = augment(images, seed=seeds), augment(images[510:], seed=seeds[510:])
+    assert all(torch.equal(a, b) for a, b in zip(results[510:], last))
+
+
+def test_the_operator_promises_what_it_gives(device, backend, monkeypatch):
+    if backend == "reference":
+        pytest.skip("this test is about the kernels")
+    for dtype in (torch.uint8, torch.float32):
+        images = [x.permute(1, 2, 0).contiguous().permute(2, 0, 1) for x in pictures(device, SMALL, dtype)]
+        for name in ("colors", "affine", "everything"):
+            augment, calls = A.ImageSequential(*PASSES[name]()), []
+            operator = list_runs.warp_and_color_to_list
+            monkeypatch.setattr(DrawnListPass, "run", lambda *args: None)
+            monkeypatch.setattr(list_runs, "warp_and_color_to_list", lambda *a: (calls.append(a), operator(*a))[1])  # noqa: B023
+            augment(images, seed=0)
+            monkeypatch.undo()
+            (args,) = calls
+            kernel = torch.ops.kvision.warp_and_color_to_list.default
+            torch.library.opcheck(kernel, args, test_utils="test_schema")
+            with FakeTensorMode(allow_non_fake_inputs=True) as fake:  # that results share memory, it need not say
+                promised = kernel([fake.from_tensor(x) for x in args[0]], *args[1:])
+            for y, expected in zip(kernel(*args), promised, strict=True):
+                assert (y.shape, y.stride(), y.dtype) == (expected.shape, expected.stride(), expected.dtype)
+
+
+def test_a_cuda_graph_draws_again_for_a_list():
+    if not torch.cuda.is_available():
+        pytest.skip("needs a GPU")
+    images, augment = (
+        pictures("cuda", SMALL),
+        A.ImageSequential(A.RandomAffine(20.0, p=1.0), A.RandomBrightness((0.5, 1.5))),
+    )
+    augment(images)
+    graph = torch.cuda.CUDAGraph()
+    with torch.cuda.graph(graph):
+        results = augment(images)
+    replays = []
+    for _ in range(2):
+        graph.replay()
+        replays.append([y.clone() for y in results])
+    assert not any(torch.equal(a, b) for a, b in zip(*replays))
+    with pytest.raises(RuntimeError, match="would repeat the draws"), torch.cuda.graph(torch.cuda.CUDAGraph()):
+        A.RandomGaussianBlur((3, 3), (0.1, 1.0))(images)
+
+
+def test_what_is_wrong_with_a_list_is_said_by_every_path(device):
+    """Kernels that read the sizes themselves find it, and then each image is asked."""
+    images = pictures(device, SMALL)
+    wrong = {
+        "one type": images[1].half(),
+        "one number of channels": images[1][:2],
+        r"of shape \(C, H, W\)": images[1][0],
+    }
+    fused = A.ImageSequential(A.RandomResizedCrop((8, 8)), A.RandomHorizontalFlip())
+    for augment in (fused, A.ImageSequential(A.RandomHorizontalFlip()), A.Normalize(0.4, 0.3), A.RandomAffine(9.0)):
+        for message, x in wrong.items():
+            with pytest.raises((TypeError, ValueError), match=f"expected input.* {message}"):
+                augment([images[0], x, *images[2:]])
+
+
+def test_noise_behind_a_late_crop_is_that_of_each_image(device):
+    augment, images = A.ImageSequential(*PASSES["late crop"](), A.RandomGaussianNoise(p=1.0)), pictures(device, SMALL)
+    seeds = seeds_of(images)
+    results, params = augment(images, seed=seeds), augment._params
+    assert not is_by_passes(augment) and torch.equal(augment(images, params=params), results)
+    for b, x in enumerate(images):
+        assert torch.equal(results[b], augment(x[None], seed=seeds[b : b + 1])[0])

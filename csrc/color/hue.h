@@ -16,7 +16,8 @@ template <class V>
 KV_HD void channel_range_vjp(V const (&c)[3], V (&g)[3], ChannelRange<V> const& s, V const& grad_maximum,
                              V const& grad_minimum) {
   TieWeights<V> const highest(c, s.maximum), lowest(c, s.minimum);
-  for (int i = 0; i < 3; ++i) g[i] = g[i] + grad_maximum * highest.weight[i] + grad_minimum * lowest.weight[i];
+  V const of_highest = grad_maximum * highest.share, of_lowest = grad_minimum * lowest.share;
+  for (int i = 0; i < 3; ++i) g[i] = g[i] + of_highest * highest.equal[i] + of_lowest * lowest.equal[i];
 }
 
 // Hue in sixths of a turn from the color of the highest channel, in [-1, 1]: the difference of the two others over the

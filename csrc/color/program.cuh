@@ -52,6 +52,13 @@ __device__ __forceinline__ float clamp_to_unit_vjp(float x, float g) {
   return y;
 }
 
+__device__ __forceinline__ float equality(float a, float b) {
+  float y;
+  asm("set.eq.f32.f32 %0, %1, %2;" : "=f"(y) : "f"(a), "f"(b));
+  return y;
+}
+__device__ __forceinline__ float share_of(float n) { return fast_reciprocal(fmaxf(n, 1.f)); }  // exact for 1 and 2
+
 }  // namespace kv::color
 
 #include "steps.h"

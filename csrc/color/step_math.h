@@ -65,18 +65,26 @@ template <class V, int N>
 KV_HD Dual<V, N> nan_min(Dual<V, N> const& a, Dual<V, N> const& b) {
   return -nan_max(-a, -b);
 }
-// 1 / n for each of the n channels that equal `extreme`, and 0 for the others.
+// 1 where numbers are equal, else 0. Numbers on CUDA have functions of their own.
+template <class V>
+KV_HD V equality(V const& a, V const& b) {
+  using F = Scalar<V>;
+  return select(a == b, constant<V>(F(1)), constant<V>(F(0)));
+}
+// 1 / n for n = 1, 2, 3.
+template <class V>
+KV_HD V share_of(V const& n) {
+  using F = Scalar<V>;
+  V const one = constant<V>(F(1));
+  return select(n > F(2), constant<V>(F(1. / 3)), select(n > F(1), constant<V>(F(0.5)), one));
+}
+// The channels that equal `extreme`: 1 for each, 0 for the others, and the share of each.
 template <class V>
 struct TieWeights {
-  V weight[3];
-  KV_HD TieWeights(V const (&c)[3], V const& extreme) {
-    using F = Scalar<V>;
-    V const zero = constant<V>(F(0)), one = constant<V>(F(1));
-    V count = zero;
-    for (auto const& x : c) count = count + select(x == extreme, one, zero);
-    V const each = select(count > F(2), constant<V>(F(1. / 3)), select(count > F(1), constant<V>(F(0.5)), one));
-    for (int i = 0; i < 3; ++i) weight[i] = select(c[i] == extreme, each, zero);
-  }
+  V equal[3], share;
+  KV_HD TieWeights(V const (&c)[3], V const& extreme)
+      : equal{equality(c[0], extreme), equality(c[1], extreme), equality(c[2], extreme)},
+        share(share_of(V(equal[0] + equal[1] + equal[2]))) {}
 };
 template <class V>
 KV_HD V largest(V const (&c)[3]) {
@@ -91,7 +99,7 @@ KV_HD Dual<V, N> with_even_derivatives(V const& extreme, V const (&values)[3], D
   TieWeights<V> const ties(values, extreme);
   Dual<V, N> y{extreme, {}};
   for (int i = 0; i < N; ++i)
-    y.d[i] = c[0].d[i] * ties.weight[0] + c[1].d[i] * ties.weight[1] + c[2].d[i] * ties.weight[2];
+    y.d[i] = (c[0].d[i] * ties.equal[0] + c[1].d[i] * ties.equal[1] + c[2].d[i] * ties.equal[2]) * ties.share;
   return y;
 }
 template <class V, int N>

@@ -285,6 +285,8 @@ inline constexpr Operator<"pyramid_detail", Tensor(Tensor smaller, Tensor image,
 inline constexpr Operator<"resize_windows",
                           Tensor(Tensor input, Tensor matrix, Ints size, int64_t filter, bool align_corners)>
     resize_windows{Rule{detail::resize_windows_gradients, 0, false}};
+inline constexpr Operator<"resize_views", Tensor(Tensor input, Tensor boxes, Ints size, int64_t filter)> resize_views{
+    no_gradient};
 
 // --- geometry/transform/thin_plate_op.cpp
 

@@ -10,6 +10,7 @@ import torch
 
 import kvision as K
 import kvision.augmentation as A
+from kvision.augmentation.crops import views
 
 
 @pytest.mark.parametrize("mode", ["bilinear", "bicubic"])
@@ -250,6 +251,27 @@ def test_views_are_windows_of_their_images(antialias: bool, device: torch.device
     assert large.min() > 0.35 and large.max() < 1.01 and small.min() > 0.03 and small.max() < 0.45
     whole_image = A.MultiCrop((60, 80), local_crops=0, global_scale=(1.0, 1.0), ratio=(4 / 3, 4 / 3))(images.detach())
     assert len(whole_image) == 2 and all(torch.equal(v, images) for v in whole_image)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.uint8, torch.bfloat16])
+@pytest.mark.parametrize("layout", [torch.contiguous_format, torch.channels_last])
+def test_views_by_one_kernel_are_those_of_each(dtype, layout, device: torch.device, monkeypatch) -> None:
+    images = (255 * torch.rand(5, 3, 40, 50, device=device)).to(dtype).contiguous(memory_format=layout)
+    crop = A.MultiCrop((14, 15), (6, 8), local_crops=3)
+    torch.manual_seed(2)
+    together = crop(images)
+    monkeypatch.setattr(views.resized_views, "serves", lambda x: False)
+    torch.manual_seed(2)
+    each = crop(images)
+    assert len(together) == len(each) == 5 and all(torch.equal(a, b) for a, b in zip(together, each))
+
+
+@pytest.mark.native
+def test_windows_outside_of_images_are_moved_inside(device: torch.device) -> None:
+    images = torch.arange(24.0, device=device).reshape(1, 1, 4, 6)
+    boxes = torch.tensor([[[-2.0, 1, 9, 2], [5, 3, 4, 4], [2, 0, 0.4, 1.6]]], device=device)
+    cut = torch.ops.kvision.resize_views(images, boxes, [1, 1], 3)
+    assert cut.flatten().tolist() == [pytest.approx(x) for x in (11.5, 23.0, 5.0)]
 
 
 BAD = [

@@ -66,7 +66,7 @@ ResizeWindows<T> largest_of(ResizeWindowsList<T> const& p, bool& fits, bool& nea
     largest.y.height = max(largest.y.height, one.y.height);
     largest.y.width = max(largest.y.width, one.y.width);
   }
-  largest.x.outer *= p.list.count;
+  largest.y.outer *= p.list.count;
   return largest;
 }
 

@@ -22,7 +22,7 @@ int resize_tiles(ResizeWindows<T> const& p, CUstream_st* stream) {
     auto* const kernel = resize_window_tiles<T, planes.value, radius.value>;
     if (int const error = cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, int(tiles.bytes)))
       return error;
-    unsigned const blocks = unsigned(p.x.count() / p.planes) * tiles.groups * tiles.down * tiles.across;
+    unsigned const blocks = unsigned(p.y.count() / p.planes) * tiles.groups * tiles.down * tiles.across;
     kernel<<<blocks, threads, unsigned(tiles.bytes), stream>>>(p, tiles);
     return cudaGetLastError();
   });

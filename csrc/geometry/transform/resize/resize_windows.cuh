@@ -272,7 +272,8 @@ __device__ __forceinline__ void resize_tile(ResizeWindows<T> const& p, WindowTil
   rest /= tiles.across;
   int const tile_y = int(rest % tiles.down) * tiles.rows;
   rest /= tiles.down;
-  int64_t const sample = rest / tiles.groups, plane0 = sample * p.planes + rest % tiles.groups * P;
+  int64_t const sample = rest / tiles.groups, group = rest % tiles.groups * P;
+  int64_t const x_plane0 = p.image_of(sample) * p.planes + group, plane0 = sample * p.planes + group;
   int const end_x = min(tile_x + tiles.columns, int(p.y.width)), end_y = min(tile_y + tiles.rows, int(p.y.height));
   int const elements = (end_x - tile_x) * step;  // of a row of the tile
   if (threadIdx.x < 2) {
@@ -284,7 +285,7 @@ __device__ __forceinline__ void resize_tile(ResizeWindows<T> const& p, WindowTil
   TileAxis const &columns = tile_axes[0], &rows = tile_axes[1];
   bool const is_empty = columns.count == 0 || rows.count == 0;
   int const e = int(threadIdx.x), pixel = step == 1 ? e : e / step;
-  int const x_plane = P > 1 ? int(p.x.plane(plane0 + 1) - p.x.plane(plane0)) : 0;
+  int const x_plane = P > 1 ? int(p.x.plane(x_plane0 + 1) - p.x.plane(x_plane0)) : 0;
   int const y_plane = P > 1 ? int(p.y.plane(plane0 + 1) - p.y.plane(plane0)) : 0;
   if (!is_empty) {
     RowStep<R>* const steps = reinterpret_cast<RowStep<R>*>(memory);
@@ -296,7 +297,7 @@ __device__ __forceinline__ void resize_tile(ResizeWindows<T> const& p, WindowTil
     int const threads = int(blockDim.x), from_last = threads - 1 - int(threadIdx.x);  // the last ones begin with rows
 
     // The rows of the tile are on their way to the L2 cache while the weights are computed.
-    T const* const origin = p.x.plane(plane0) + int64_t(down.in_first() + rows.from) * p.x.row_stride +
+    T const* const origin = p.x.plane(x_plane0) + int64_t(down.in_first() + rows.from) * p.x.row_stride +
                             int64_t(across.in_first() + columns.from) * step;
     int const lines = (columns.length * step * int(sizeof(T)) + 254) / 128;
     for (int t = int(threadIdx.x); t < lines * rows.length * P; t += threads) {
@@ -435,7 +436,7 @@ __device__ __forceinline__ void resize_tile(ResizeWindows<T> const& p, WindowTil
       // A tap of weight 0 contributes nothing, even if it is inf or NaN.
       if (poison != 0) {
         to = first_to;
-        T const* const source = p.x.plane(plane0) + (e - pixel * step);
+        T const* const source = p.x.plane(x_plane0) + (e - pixel * step);
 #pragma unroll 1
         for (int i = 0; i < rows.count; ++i, to += to_stride)
 #pragma unroll 1
@@ -477,7 +478,7 @@ __device__ __forceinline__ void resize_element(ResizeWindows<T> const& p, unsign
     inside = inside && index[a] >= 0 && index[a] < size;
     if (window.mirrored) index[a] = size - 1 - index[a];
   }
-  T const* const first = p.x.plane(plane) + (e - position[0] * step);
+  T const* const first = p.x.plane(plane + (p.image_of(sample) - sample) * p.planes) + (e - position[0] * step);
   p.y.row(plane, position[1])[e] = round_to<T>(inside ? sum_of_taps(p, sample, index[0], index[1], first) : 0);
 }
 
@@ -494,7 +495,7 @@ WindowTiles tiles_of(ResizeWindows<T> const& p, int planes, int64_t step_bytes) 
   int64_t const columns = divided(width, max(kMaxColumns / step, int64_t(1)));
   // So many rows that all blocks are a few times as many as run at once: the smaller a type is, the more of the time is
   // spent on weights, which rows share.
-  int64_t const groups = ceil_div(p.planes, planes), samples = p.x.count() / p.planes;
+  int64_t const groups = ceil_div(p.planes, planes), samples = p.y.count() / p.planes;
   int64_t const all_rows = samples * groups * ceil_div(width, columns) * height;
   int64_t const waves = (sizeof(T) == 4 ? 4 : sizeof(T) == 2 ? 3 : 2) + (p.backward ? 1 : 0);
   int64_t const rows =

@@ -3,7 +3,8 @@
 // resize_windows*.cpp, resize_windows.cu and resize_windows_glue.h.
 //
 // The window of a sample is what its matrix, from pixels of the image to pixels of the result, maps to the result. It
-// is rounded to whole pixels. A negative scale mirrors the result.
+// is rounded to whole pixels. A negative scale mirrors the result. Where there are several views of each image, sample
+// s is view s / images of image s % images, and boxes say what the windows are.
 #pragma once
 
 #include "core/window.h"
@@ -20,7 +21,11 @@ struct ResizeWindows {
   bool align_corners, backward;
   Compute<T> const* matrices;  // 3 x 3, of this stride, which is 0 where one serves all
   int64_t matrix_stride;
+  // Instead of matrices, forward only: x, y, width and height for each view of each image, in whole pixels.
+  Compute<T> const* boxes = nullptr;
+  int64_t images = 0, box_image_stride = 0, box_view_stride = 0;
 
+  KV_HD int64_t image_of(int64_t sample) const { return boxes ? unsigned(sample) % unsigned(images) : sample; }
   // Of samples: 0 along x, 1 along y.
   KV_HD int source(int axis) const { return backward ? size(y, axis) : size(x, axis); }
   KV_HD int result(int axis) const { return backward ? size(x, axis) : size(y, axis); }
@@ -40,6 +45,12 @@ KV_KERNEL(resize_windows, ResizeWindows)
 
 template <class T>
 KV_HD Window ResizeWindows<T>::window(int64_t sample, int axis) const {
+  if (boxes) {
+    int64_t const image = image_of(sample), view = unsigned(sample) / unsigned(images);
+    Compute<T> const* const box = boxes + image * box_image_stride + view * box_view_stride;
+    int const first = round_within(double(box[axis]), 0, source(axis) - 1);
+    return {first, round_within(double(box[2 + axis]), 1, source(axis) - first), false};
+  }
   Compute<T> const* const m = matrices + sample * matrix_stride;
   return window_of(double(m[4 * axis]), double(m[3 * axis + 2]), source(axis), result(axis), align_corners);
 }

@@ -42,8 +42,9 @@ void resize_windows(ResizeWindows<T> const& p, int64_t begin, int64_t end) {
     ResizeAxis const rows = p.resize_axis(down, 1), columns = p.resize_axis(across, 0);
     if (!p.backward) {
       int64_t const first = b * p.planes;
-      Resize<T> const q{part_of(p.x, first, p.planes, down.first, across.first, down.size, across.size, false),
-                        part_of(p.y, first, p.planes, 0, 0, p.y.height, p.y.width, down.mirrored), rows, columns};
+      Resize<T> const q{
+          part_of(p.x, p.image_of(b) * p.planes, p.planes, down.first, across.first, down.size, across.size, false),
+          part_of(p.y, first, p.planes, 0, 0, p.y.height, p.y.width, down.mirrored), rows, columns};
       KV_ISA::resize(q, at - b * per_sample, next - b * per_sample);
       if (across.mirrored) mirror_rows(q.y, at - b * per_sample, next - b * per_sample);
     } else {

@@ -7,6 +7,19 @@
 
 namespace kv::geometry {
 
+inline void check_window_filter(char const* op, int64_t filter) {
+  KV_CHECK(filter >= int64_t(ResizeFilter::bilinear) && filter <= int64_t(ResizeFilter::lanczos), op,
+           ": filter must be 3 (bilinear), 4 (bicubic) or 5 (lanczos), got ", filter);
+}
+inline int64_t planes_per_sample(Tensor const& x, Layout layout) {
+  return layout == Layout::channels_last ? 1 : x.size(1);
+}
+template <class T>
+void run_windows([[maybe_unused]] Tensor const& x, ResizeWindows<T> const& params) {
+  int64_t const work = params.y.row_size() == 0 ? 0 : params.backward ? params.y.count() : params.y.rows();
+  KV_RUN(resize_windows, x, params, work, 4 * params.y.row_size() * (params.backward ? params.y.height : 1));
+}
+
 // From images to results of `size`, or from the gradient of results to that of images of `size`. They may be written to
 // `memory`, of their layout.
 inline Tensor windows_resized(char const* op, Tensor const& input, Tensor const& matrix,
@@ -15,8 +28,7 @@ inline Tensor windows_resized(char const* op, Tensor const& input, Tensor const&
   check_images(op, backward ? "grad" : "input", input);
   Size const size = checked_size(op, sides);
   checked_size(op, input);
-  KV_CHECK(filter >= int64_t(ResizeFilter::bilinear) && filter <= int64_t(ResizeFilter::lanczos), op,
-           ": filter must be 3 (bilinear), 4 (bicubic) or 5 (lanczos), got ", filter);
+  check_window_filter(op, filter);
   KV_CHECK(matches_image(matrix, input, 3) && matrix.size(1) == 3 && matrix.size(2) == 3, op,
            ": matrix does not fit what is resized");
   Tensor const matrices = dense(matrix);
@@ -27,14 +39,13 @@ inline Tensor windows_resized(char const* op, Tensor const& input, Tensor const&
     using T = typename decltype(type)::type;
     ResizeWindows<T> const params{planes<T const>(x, layout),
                                   planes<T>(y, layout),
-                                  layout == Layout::channels_last ? 1 : x.size(1),
+                                  planes_per_sample(x, layout),
                                   ResizeFilter(filter),
                                   align_corners,
                                   backward,
                                   data_ptr<Compute<T> const>(matrices),
                                   matrices.size(0) > 1 ? 9 : 0};
-    int64_t const work = params.y.row_size() == 0 ? 0 : backward ? params.y.count() : params.y.rows();
-    KV_RUN(resize_windows, x, params, work, 4 * params.y.row_size() * (backward ? size.height : 1));
+    run_windows(x, params);
   };
   if (backward)
     dispatch_floating(op, x, run);

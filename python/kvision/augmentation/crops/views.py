@@ -8,11 +8,11 @@ from torch import Tensor, nn
 from kvision import _check
 from kvision._dtype import compute_dtype
 from kvision._modes import INTERPOLATION
-from kvision.augmentation.columns import Column, plan_draws
+from kvision.augmentation.columns import Column, DrawPlan, plan_draws
 from kvision.augmentation.drawn_links import DrawnLinks
 from kvision.augmentation.draws import Request
 from kvision.augmentation.inputs import parse_size
-from kvision.augmentation.keys import draw_keys
+from kvision.augmentation.keys import Keys, draw_keys
 from kvision.augmentation.maps import warp
 from kvision.augmentation.random_generator.crop import ResizedCropGenerator
 from kvision.augmentation.ranges import Numbers
@@ -20,7 +20,7 @@ from kvision.augmentation.transforms import MatrixPlan, Transform
 from kvision.augmentation.warp_and_color import Resampling
 from kvision.core.exceptions import ValueCheckError
 from kvision.geometry.transform.lists.arguments import check_list
-from kvision.geometry.transform.resize_windows import resized_windows
+from kvision.geometry.transform.resize_windows import resized_views, resized_windows
 
 __all__ = ["FiveCrop", "MultiCrop", "TenCrop"]
 
@@ -154,17 +154,32 @@ class MultiCrop(nn.Module):
         _check.images("MultiCrop", "input", input)
         generators = [g for n, g in zip(self.counts, (self.global_generator, self.local_generator)) for _ in range(n)]
         keys = draw_keys("MultiCrop", len(generators), input.device, None, None)
+        plans = plan_draws([Request(generator.draws(tuple(input.shape))) for generator in generators], False)
+        if len(plans) == 1 and plans[0].learned is None and self.antialias and resized_views.serves(input):
+            return self._views(input, plans[0], keys)
         sizes, matrices = [generator.output_size for generator in generators], list[Tensor]()
-        for draws in plan_draws([Request(generator.draws(tuple(input.shape))) for generator in generators], False):
-            plans = []
+        for draws in plans:
+            chains = []
             for (h, w), span in zip(sizes[len(matrices) :], draws.spans):
                 window = [Column(span.first + i) for i in range(4)]
-                plans.append(MatrixPlan([Transform("crop", *window, float(w), float(h), 0.0)]))
-            columns, _, links = DrawnLinks(draws, plans).draw(input, keys)
+                chains.append(MatrixPlan([Transform("crop", *window, float(w), float(h), 0.0)]))
+            columns, _, links = DrawnLinks(draws, chains).draw(input, keys)
             if links is None:
-                links = [plan.matrix(columns.to(compute_dtype(input))) for plan in plans]
+                links = [chain.matrix(columns.to(compute_dtype(input))) for chain in chains]
             matrices += links
         return [self._view(input, matrix, size) for matrix, size in zip(matrices, sizes)]
+
+    def _views(self, x: Tensor, draws: DrawPlan, keys: Keys) -> list[Tensor]:
+        """One launch for the draws, and one for the views of each size."""
+        columns, views = draws.draw(x, keys), list[Tensor]()
+        for count, generator in zip(self.counts, (self.global_generator, self.local_generator)):
+            if count:
+                spans = draws.spans[len(views) : len(views) + count]
+                apart = spans[1].first - spans[0].first if count > 1 else 4
+                boxes = columns.as_strided((len(x), count, 4), (columns.stride(0), apart, 1), spans[0].first)
+                size = list(generator.output_size)
+                views += resized_views.kernel(x, boxes, size, INTERPOLATION["bilinear"]).chunk(count)
+        return views
 
     def _view(self, x: Tensor, matrix: Tensor, size: tuple[int, int]) -> Tensor:
         if self.antialias and (x.is_floating_point() or x.dtype == torch.uint8):

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from kvision._modes import INTERPOLATION_NAMES
-from kvision._ops import register
+from kvision._ops import FastPath, register
 from kvision.core.windows import windows_of
 from kvision.geometry.transform.resize import SUPPORT, window_weight
 
@@ -91,3 +91,7 @@ resized_windows_backward = register(
     linear=True,
     supports=_supports,
 )
+
+# Several views of each image by one launch: images (B, C, H, W); boxes (B, V, 4) in float32, x, y, width and height of windows
+# in whole pixels; height and width of the views; the number of the filter. Result v * B + b is view v of image b.
+resized_views = FastPath("resize_views", (torch.float32, torch.float16, torch.bfloat16, torch.uint8))

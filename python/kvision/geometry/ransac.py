@@ -161,7 +161,8 @@ def _select_inliers_reference(
     has_consensus = inliers.sum(1, keepdim=True) > least
     if model in ("affine", "homography"):
         has_consensus &= ~is_on_line(points1, inliers)[:, None]
-    scaled = torch.where(has_consensus[..., None], _scaled(models, model), 0)
+    models = _scaled(models.contiguous(), model)  # the sum of a norm depends on strides
+    scaled = torch.where(has_consensus[..., None], models, 0)
     return scaled.to(points1.dtype), inliers & has_consensus
 
 

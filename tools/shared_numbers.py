@@ -100,6 +100,7 @@ CONSTANTS = (
     ("MAX_DRAW_NUMBERS", "kMaxDrawNumbers", "augmentation/draws.h"),
     ("MAX_PIECES", "kMaxPieces", "augmentation/mixing/pieces.h"),
     ("MAX_PIXELATE_SIDE", "kMaxPixelateSide", "augmentation/corruption/pixelate.h"),
+    ("FAR_FROM_OUTLINE", "kFarFromOutline", "augmentation/corruption/drops.h"),
     ("MAX_PIXELATE_ROW", "kMaxPixelateRow", "augmentation/corruption/pixelate.h"),
     ("MAX_TRANSFORMS", "kMaxTransforms", "augmentation/transforms.h"),
 )

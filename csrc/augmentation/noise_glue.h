@@ -51,6 +51,16 @@ struct NoiseSource {
   }
 };
 
+// `x`, copied only if it is not dense.
+inline Tensor dense_in_layout(Tensor const& x, Layout layout) {
+  Tensor const y = as_layout(x, layout);
+  int64_t const c = y.size(1), pixels = y.size(2) * y.size(3);
+  bool const last = layout == Layout::channels_last;
+  bool const whole = (y.size(0) == 1 || y.stride(0) == c * pixels) && (last || c == 1 || y.stride(1) == pixels) &&
+                     (y.size(2) == 1 || y.stride(2) == y.size(3) * (last ? c : 1));
+  return whole ? y : as_layout(dense(y), layout);
+}
+
 // `chosen` is (B,) float32; samples whose value is 0 are left unchanged.
 inline void check_chosen(char const* op, std::optional<Tensor> const& chosen, Tensor const& images) {
   if (!chosen) return;

@@ -6,16 +6,6 @@ namespace {
 
 using OptionalTensor = std::optional<Tensor>;
 
-// `x`, copied only if it is not dense.
-Tensor dense_images(Tensor const& x, Layout layout) {
-  Tensor const y = as_layout(x, layout);
-  int64_t const c = y.size(1), pixels = y.size(2) * y.size(3);
-  bool const last = layout == Layout::channels_last;
-  bool const whole = (y.size(0) == 1 || y.stride(0) == c * pixels) && (last || c == 1 || y.stride(1) == pixels) &&
-                     (y.size(2) == 1 || y.stride(2) == y.size(3) * (last ? c : 1));
-  return whole ? y : as_layout(dense(y), layout);
-}
-
 // Of images (B, C, H, W); parameters (B, 2) of the type that is computed in; keys, seeds, chosen and plan as in
 // noise_glue.h.
 struct NoiseArguments {
@@ -63,9 +53,10 @@ template <class Run>
 Tensor run_noise(NoiseArguments const& arguments, double salt, Run const& run) {
   arguments.check();
   Layout const layout = layout_of(arguments.images);
-  Tensor const x = dense_images(arguments.images, layout), p = dense(arguments.parameters), y = empty_like(x, layout);
+  Tensor const x = dense_in_layout(arguments.images, layout), p = dense(arguments.parameters),
+               y = empty_like(x, layout);
   OptionalTensor const u = arguments.uniform && *arguments.uniform
-                               ? OptionalTensor(dense_images(**arguments.uniform, layout))
+                               ? OptionalTensor(dense_in_layout(**arguments.uniform, layout))
                                : std::nullopt;
   dispatch_floating_and_uint8(arguments.op, x, [&]<class T>(Type<T>) {
     PixelNoise<T> params = arguments.params<T>(x, y, p, layout, salt);

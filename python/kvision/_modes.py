@@ -79,7 +79,7 @@ CORRESPONDENCE_ERROR = {
 }
 CORRESPONDENCE_ERROR_NAMES = tuple(CORRESPONDENCE_ERROR)
 # BlockValue in csrc/augmentation/corruption/pixelate.h
-BLOCK_VALUE = {"mean": 0, "mean_of_whole": 1}
+BLOCK_VALUE = {"mean": 0, "mean_of_whole": 1, "pixel": 2}
 BLOCK_VALUE_NAMES = tuple(BLOCK_VALUE)
 # Decay in csrc/geometry/detection/suppression.h
 BOX_DECAY = {"linear": 0, "gaussian": 1}

@@ -1,58 +1,83 @@
-// Sums of moved copies on CUDA: a thread has pixels of a row, a warp's width apart, in up to three channels.
+// Sums of moved copies on CUDA: a thread has pixels of a column, in up to three channels, for which it finds the
+// columns that they read once.
 #include "augmentation/corruption/moved.h"
 #include "core/launch.cuh"
 
 namespace kv::augmentation::cuda {
 namespace {
 
-constexpr int kMovedRows = 8, kMovedPixels = 2;  // rows of a block, a warp each, and pixels of a thread
+constexpr int kMovedWarps = 8, kMovedRows = 4;  // warps of a block, above each other, and rows of a thread
 
-template <class T, int Channels>
-__global__ void __launch_bounds__(32 * kMovedRows) sum_moved(__grid_constant__ SumOfMoved<T> const p) {
+// Copies moved by whole pixels, of which one pixel is read: 31 of them 8 times as fast as by the general way.
+template <class F>
+__device__ __forceinline__ bool is_whole(F const* move) {
+  return move[0] == 1 && move[1] == rint(move[1]) && move[2] == rint(move[2]);
+}
+
+// Offset: of elements of a sample.
+template <class T, int Channels, class Offset>
+__global__ void __launch_bounds__(32 * kMovedWarps) sum_moved(__grid_constant__ SumOfMoved<T> const p) {
   using F = Compute<T>;
   int64_t const groups = p.channels / Channels, b = blockIdx.z / groups, c = blockIdx.z % groups * Channels;
-  int const y = blockIdx.y * kMovedRows + threadIdx.y, left = blockIdx.x * 32 * kMovedPixels + threadIdx.x;
-  if (y >= p.height) return;
+  int const height = int(p.height), width = int(p.width), left = blockIdx.x * 32 + threadIdx.x,
+            top = (blockIdx.y * kMovedWarps + threadIdx.y) * kMovedRows;
+  if (top >= height || left >= width) return;
   T const* const x = p.x + b * p.x_strides[0] + c * p.x_strides[1];
-  F sum[kMovedPixels][Channels] = {};
-  for (int64_t k = 0; k < p.num_moves; ++k) {
+  Offset const channel = Offset(p.x_strides[1]), row = Offset(p.x_strides[2]), pixel = Offset(p.x_strides[3]);
+  F sum[kMovedRows][Channels] = {};
+  for (int k = 0; k < int(p.num_moves); ++k) {
     F const* const move = p.moves + b * p.move_stride + 4 * k;
     F const scale = move[0], weight = move[3];
     if (weight == 0) continue;
-    PairOfTaps<F> const down(scale * F(y) + move[2], int(p.height));
-    T const *const upper = x + down.first * p.x_strides[2], *const lower = x + down.second * p.x_strides[2];
+    PairOfTaps<F> const across(scale * F(left) + move[1], width);
+    Offset const first = across.first * pixel;
+    if (is_whole(move)) {
+      int const down = int(clamp(move[2], F(-height), F(height)));
 #pragma unroll
-    for (int i = 0; i < kMovedPixels; ++i) {
-      PairOfTaps<F> const across(scale * F(left + 32 * i) + move[1], int(p.width));
-      int64_t const first = across.first * p.x_strides[3], second = across.second * p.x_strides[3];
+      for (int i = 0; i < kMovedRows; ++i) {
+        Offset const at = clamp(top + i + down, 0, height - 1) * row + first;
+#pragma unroll
+        for (int j = 0; j < Channels; ++j) sum[i][j] += weight * F(read(x[at + j * channel]));
+      }
+      continue;
+    }
+    Offset const second = across.second * pixel;
+#pragma unroll
+    for (int i = 0; i < kMovedRows; ++i) {
+      PairOfTaps<F> const down(scale * F(top + i) + move[2], height);
+      auto const read_row = [&](Offset from) {
+        F const u = read(x[from + first]), v = read(x[from + second]);
+        return across.t > 0 ? u + across.t * (v - u) : u;
+      };
 #pragma unroll
       for (int j = 0; j < Channels; ++j) {
-        int64_t const channel = j * p.x_strides[1];
-        F value = read(upper[channel + first]);
-        if (across.t > 0) value += across.t * (read(upper[channel + second]) - value);
-        if (down.t > 0) {
-          F other = read(lower[channel + first]);
-          if (across.t > 0) other += across.t * (read(lower[channel + second]) - other);
-          value += down.t * (other - value);
-        }
+        F value = read_row(down.first * row + j * channel);
+        if (down.t > 0) value += down.t * (read_row(down.second * row + j * channel) - value);
         sum[i][j] += weight * value;
       }
     }
   }
-  T* const result = p.y + b * p.y_strides[0] + c * p.y_strides[1] + y * p.y_strides[2];
+  T* const result = p.y + b * p.y_strides[0] + c * p.y_strides[1] + left * p.y_strides[3];
 #pragma unroll
-  for (int i = 0; i < kMovedPixels; ++i)
-    if (left + 32 * i < p.width)
+  for (int i = 0; i < kMovedRows; ++i)
+    if (top + i < height)
 #pragma unroll
       for (int j = 0; j < Channels; ++j)
-        result[(left + 32 * i) * p.y_strides[3] + j * p.y_strides[1]] = round_to<T>(sum[i][j]);
+        result[(top + i) * p.y_strides[2] + j * p.y_strides[1]] = round_to<T>(sum[i][j]);
 }
 
 template <class T, int Channels>
 int launch(SumOfMoved<T> const& p, CUstream_st* stream) {
-  dim3 const blocks(unsigned(ceil_div(p.width, 32 * kMovedPixels)), unsigned(ceil_div(p.height, kMovedRows)),
-                    unsigned(p.batch * p.channels / Channels));
-  sum_moved<T, Channels><<<blocks, dim3(32, kMovedRows), 0, stream>>>(p);
+  dim3 const blocks(unsigned(ceil_div(p.width, 32)), unsigned(ceil_div(p.height, kMovedWarps * kMovedRows)),
+                    unsigned(p.batch * p.channels / Channels)),
+      threads(32, kMovedWarps);
+  int64_t last = 0;  // element of a sample
+  int64_t const sides[] = {p.channels, p.height, p.width};
+  for (int i = 0; i < 3; ++i) last += (sides[i] - 1) * p.x_strides[i + 1];
+  if (last <= INT32_MAX)
+    sum_moved<T, Channels, int><<<blocks, threads, 0, stream>>>(p);
+  else
+    sum_moved<T, Channels, int64_t><<<blocks, threads, 0, stream>>>(p);
   return cudaGetLastError();
 }
 

@@ -27,7 +27,7 @@ struct PairOfTaps {
 
   KV_HD PairOfTaps(F at, int size) {
     F const last = F(size - 1);
-    at = at > 0 ? (at < last ? at : last) : F(0);
+    at = at > 0 ? (at < last ? at : last) : F(0);  // NaN is 0
     first = int(at);
     t = at - F(first);
     second = t > 0 ? first + 1 : first;

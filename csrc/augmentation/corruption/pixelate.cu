@@ -1,63 +1,114 @@
-// Images of blocks on CUDA: a block of threads has some rows of a plane. It sums the rows of a block of pixels, once
-// for all rows of the result that show it, and then the columns of these sums.
+// Images of blocks on CUDA: a block of threads has some rows of a plane, and each of its warps a row of blocks after
+// the other. It sums the rows of pixels that these read, then the columns of these sums, and shows the results in all
+// rows.
 #include "augmentation/corruption/pixelate.h"
 #include "core/launch.cuh"
 
 namespace kv::augmentation::cuda {
 namespace {
 
-constexpr int kPixelateThreads = 256, kPixelateRows = 32;
+constexpr int kPixelateWarps = 8, kPixelateRows = 32;
+constexpr size_t kPixelateBytes = 48 << 10;  // of shared memory, unless one warp needs more
 
-template <class T>
-__global__ void __launch_bounds__(kPixelateThreads) show_blocks(__grid_constant__ Pixelate<T> const p, unsigned parts) {
+// Vectorized: rows are whole vectors of four elements.
+template <class T, bool Vectorized>
+__global__ void __launch_bounds__(32 * kPixelateWarps)
+    show_blocks(__grid_constant__ Pixelate<T> const p, unsigned parts) {
   using F = Compute<T>;
+  constexpr int P = Vectorized ? 4 : 1;
   extern __shared__ __align__(16) char shared[];
-  F* const sums = reinterpret_cast<F*>(shared);
+  int const step = int(p.x.step), size = int(p.x.row_size()), warps = int(blockDim.x) / 32,
+            warp = int(threadIdx.x) / 32, lane = int(threadIdx.x) % 32;
+  F* const sums = reinterpret_cast<F*>(shared) + warp * size;
+  // Of a row's elements, those of a row of blocks that they show; of a row's blocks, the pixels [begin, end) that they
+  // read.
+  uint16_t* const shown = reinterpret_cast<uint16_t*>(reinterpret_cast<F*>(shared) + warps * size);
+  uint16_t *const begins = shown + size, *const ends = begins + p.x.width;
   int64_t const plane = blockIdx.x / parts, b = plane / p.planes_per_sample;
   int const top = int(blockIdx.x % parts) * kPixelateRows, bottom = min(top + kPixelateRows, int(p.y.height));
-  int const step = int(p.x.step), size = int(p.x.row_size());
   BlockAxis const down = p.down(b), across = p.across(b);
+  for (int i = int(threadIdx.x); i < size; i += int(blockDim.x)) {
+    int const x = step == 1 ? i : i / step;
+    shown[i] = uint16_t(int(across.block(x)) * step + i - x * step);
+    if (i < int(across.count)) {
+      BlockPixels const columns(across, i);
+      begins[i] = uint16_t(columns.begin), ends[i] = uint16_t(columns.end);
+    }
+  }
+  __syncthreads();
+  unsigned const first = down.block(top);
   for (int y = top, next; y < bottom; y = next) {
     unsigned const block = down.block(y);
     for (next = y + 1; next < bottom && down.block(next) == block;) ++next;
+    if (int((block - first) % unsigned(warps)) != warp) continue;
     BlockPixels const rows(down, block);
-    __syncthreads();  // before other sums are overwritten
-    for (int i = int(threadIdx.x); i < size; i += kPixelateThreads) {
-      F sum = 0, total = 0;
+    __syncwarp();  // before other sums are overwritten
+    for (int i = P * lane; i < size; i += 32 * P) {
+      F sum[P] = {};
       for (unsigned row = rows.begin; row < rows.end; ++row) {
         F const weight = rows.weight(row);
-        total += weight;
-        if (weight != 0) sum += weight * read(p.x.row(plane, row)[i]);
+        auto const v = *reinterpret_cast<Vector<T, P> const*>(p.x.row(plane, row) + i);
+#pragma unroll
+        for (int j = 0; j < P; ++j) sum[j] += weight * F(read(v.v[j]));
       }
-      sums[i] = sum / total;
+#pragma unroll
+      for (int j = 0; j < P; ++j) sums[i + j] = sum[j] / F(rows.total);
     }
-    __syncthreads();
-    for (int i = int(threadIdx.x); i < size; i += kPixelateThreads) {
-      int const x = i / step;
-      BlockPixels const columns(across, across.block(x));
-      F sum = 0, total = 0;
-      for (unsigned column = columns.begin; column < columns.end; ++column) {
-        F const weight = columns.weight(column);
-        total += weight;
-        if (weight != 0) sum += weight * sums[i + (int(column) - x) * step];
+    // Blocks overwrite sums that no later ones read.
+    for (int first_block = 0; first_block < int(across.count) * step; first_block += 32) {
+      int const i = first_block + lane, own = step == 1 ? i : i / step, channel = i - own * step;
+      F sum = 0;
+      __syncwarp();
+      if (own < int(across.count)) {
+        BlockPixels const columns(across, own, begins[own], ends[own]);
+        for (unsigned x = columns.begin; x < columns.end; ++x)
+          sum += F(columns.weight(x)) * sums[int(x) * step + channel];
+        sum /= F(columns.total);
       }
-      T const value = round_to<T>(sum / total);
-      for (int row = y; row < next; ++row) p.y.row(plane, row)[i] = value;
+      __syncwarp();
+      if (own < int(across.count)) sums[i] = sum;
+    }
+    __syncwarp();
+    for (int i = P * lane; i < size; i += 32 * P) {
+      F value[P];
+#pragma unroll
+      for (int j = 0; j < P; ++j) value[j] = sums[shown[i + j]];
+      for (int row = y; row < next; ++row) store_vector(p.y.row(plane, row) + i, value);
     }
   }
+}
+
+template <class T>
+int launch_pixelate(Pixelate<T> const& p, auto vectorized, CUstream_st* stream) {
+  unsigned const parts = unsigned(ceil_div(p.y.height, kPixelateRows));
+  size_t const size = size_t(p.x.row_size()), of_warp = size * sizeof(Compute<T>),
+               of_all = 2 * (size + 2 * size_t(p.x.width));
+  int const warps =
+      of_all + of_warp < kPixelateBytes ? int(min((kPixelateBytes - of_all) / of_warp, size_t(kPixelateWarps))) : 1;
+  size_t const bytes = of_all + size_t(warps) * of_warp;
+  auto* const kernel = show_blocks<T, vectorized.value>;
+  if (cudaError_t const error = cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, int(bytes)))
+    return error;
+  kernel<<<unsigned(p.y.count()) * parts, unsigned(32 * warps), bytes, stream>>>(p, parts);
+  return cudaGetLastError();
+}
+
+// Whether rows are whole vectors of four elements; a row of a channels-last image has all channels of its pixels.
+template <class T>
+bool has_whole_rows(Planes<T> const& p) {
+  constexpr int64_t bytes = alignof(Vector<std::remove_const_t<T>, 4>), size = sizeof(T);
+  return reinterpret_cast<uintptr_t>(p.data) % bytes == 0 && p.outer_stride * size % bytes == 0 &&
+         p.inner_stride * size % bytes == 0 && p.row_stride * size % bytes == 0 && p.row_size() % 4 == 0;
 }
 
 }  // namespace
 
 template <class T>
 int pixelate(Pixelate<T> const& p, CUstream_st* stream) {
-  unsigned const parts = unsigned(ceil_div(p.y.height, kPixelateRows));
-  size_t const bytes = size_t(p.x.row_size()) * sizeof(Compute<T>);
-  if (cudaError_t const error =
-          cudaFuncSetAttribute(show_blocks<T>, cudaFuncAttributeMaxDynamicSharedMemorySize, int(bytes)))
-    return error;
-  show_blocks<T><<<unsigned(p.y.count()) * parts, kPixelateThreads, bytes, stream>>>(p, parts);
-  return cudaGetLastError();
+  int error = 0;
+  with_alignment<T>(has_whole_rows(p.x) && has_whole_rows(p.y),
+                    [&](auto vectorized) { error = launch_pixelate(p, vectorized, stream); });
+  return error;
 }
 
 KV_INSTANTIATE_WITH_BYTES(pixelate, Pixelate)

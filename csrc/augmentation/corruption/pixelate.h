@@ -1,4 +1,4 @@
-// Images of blocks: each pixel becomes the mean of the block that its center lies in. corruption/pixelate.py of
+// Images of blocks: each pixel becomes the value of the block that it lies in. corruption/pixelate.py of
 // kvision.augmentation defines them. Included by pixelate_cpu.cpp, pixelate.cu and pixelate_op.cpp.
 #pragma once
 
@@ -7,9 +7,10 @@
 
 namespace kv::augmentation {
 
-// A block is the mean of what it covers of pixels, or of the pixels whose centers it covers.
-enum class BlockValue : int { mean, mean_of_whole };
-constexpr int kBlockValues = 2;
+// A block is the mean of what it covers of pixels, or of the pixels whose centers it covers, or the pixel that its
+// first corner lies in; then pixels show the block that their first corners lie in.
+enum class BlockValue : int { mean, mean_of_whole, pixel };
+constexpr int kBlockValues = 3;
 
 // Blocks along an axis of `size` pixels, `count` of them of equal lengths. Positions are multiples of a pixel divided
 // by `count`, so that they are whole numbers; all fit 32 bits.
@@ -22,24 +23,37 @@ struct BlockAxis {
   KV_HD BlockAxis(BlockValue value, float blocks, int64_t pixels) : value(value), size(unsigned(pixels)) {
     count = blocks > 1 ? (blocks < float(size) ? unsigned(blocks) : size) : 1;  // NaN is one
   }
-  // The block that the center of pixel i lies in.
-  KV_HD unsigned block(unsigned i) const { return (2 * i + 1) * count / (2 * size); }
+  // The block that pixel i shows.
+  KV_HD unsigned block(unsigned i) const {
+    return value == BlockValue::pixel ? i * count / size : (2 * i + 1) * count / (2 * size);
+  }
 };
 
-// What a block reads: pixels [begin, end), each with its weight.
+// What a block reads: pixels [begin, end), each with its weight above 0, of the sum `total`. A block begins at a pixel
+// of at least its own number.
 struct BlockPixels {
-  unsigned begin, end, first, last, count;
-  BlockValue value;
+  unsigned begin, end, first, last, count, total;
+  bool is_whole;
 
-  KV_HD BlockPixels(BlockAxis const& axis, unsigned block)
-      : first(block * axis.size), last(first + axis.size), count(axis.count), value(axis.value) {
+  // With the pixels, which take divisions to find.
+  KV_HD BlockPixels(BlockAxis const& axis, unsigned block, unsigned begin, unsigned end)
+      : begin(begin),
+        end(end),
+        first(block * axis.size),
+        last(first + axis.size),
+        count(axis.count),
+        is_whole(axis.value != BlockValue::mean) {
+    total = is_whole ? end - begin : axis.size;
+  }
+  KV_HD BlockPixels(BlockAxis const& axis, unsigned block) : BlockPixels(axis, block, 0, 0) {
     begin = first / count;
-    end = (last + count - 1) / count;
+    end = begin + 1;
+    if (axis.value == BlockValue::mean) end = (last + count - 1) / count;
+    if (axis.value == BlockValue::mean_of_whole) begin = (2 * first / count + 1) / 2, end = (2 * last / count + 1) / 2;
+    if (is_whole) total = end - begin;
   }
   KV_HD float weight(unsigned i) const {
-    unsigned const low = i * count, high = low + count, center = low + high;
-    if (value == BlockValue::mean_of_whole) return center > 2 * first && center <= 2 * last ? 1 : 0;
-    return float(min(high, last) - max(low, first));
+    return is_whole ? 1 : float(min((i + 1) * count, last) - max(i * count, first));
   }
 };
 

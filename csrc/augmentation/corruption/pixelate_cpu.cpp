@@ -25,16 +25,13 @@ void pixelate(Pixelate<T> const& p, int64_t begin, int64_t end) {
     }
     shown_plane = plane, shown = block;
     BlockPixels const rows(down, block);
-    F total = 0;
     for (int64_t i = 0; i < size; ++i) sums.data[i] = 0;
     for (unsigned row = rows.begin; row < rows.end; ++row) {
       F const weight = rows.weight(row);
       T const* const from = p.x.row(plane, row);
-      total += weight;
-      if (weight != 0)
-        for (int64_t i = 0; i < size; ++i) sums.data[i] += weight * F(load<1>(from + i));
+      for (int64_t i = 0; i < size; ++i) sums.data[i] += weight * F(load<1>(from + i));
     }
-    for (int64_t i = 0; i < size; ++i) sums.data[i] /= total;
+    for (int64_t i = 0; i < size; ++i) sums.data[i] /= F(rows.total);
     for (int64_t x = 0, next; x < p.y.width; x = next) {
       unsigned const own = across.block(unsigned(x));
       for (next = x + 1; next < p.y.width && across.block(unsigned(next)) == own;) ++next;

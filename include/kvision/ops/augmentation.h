@@ -29,6 +29,29 @@ inline constexpr Operator<"apply_operation", Two(Tensor images, Tensor operation
 inline constexpr Operator<"choose_operations", Two(Tensor columns, Tensor table, int64_t count, double top_level)>
     choose_operations{no_gradient};
 
+// --- augmentation/corruption/drops_op.cpp
+
+inline constexpr Operator<"drop_depths", Tensor(Tensor layers, Tensor thresholds)> drop_depths{non_differentiable};
+inline constexpr Operator<"drop_reliefs", Tensor(Tensor layers, Tensor thresholds, Tensor depths)> drop_reliefs{
+    non_differentiable};
+
+// --- augmentation/corruption/glass_op.cpp
+
+inline constexpr Operator<"read_neighbors", Tensor(Tensor images, Tensor keys, OptionalTensor seeds,
+                                                   OptionalTensor uniform, Ints plan, int64_t max_delta, int64_t steps)>
+    read_neighbors{no_gradient};
+
+// --- augmentation/corruption/iso_noise_op.cpp
+
+inline constexpr Operator<"iso_noise", Tensor(Tensor images, Tensor parameters, Tensor keys, OptionalTensor seeds,
+                                              OptionalTensor chosen, OptionalTensor maps, Ints plan)>
+    iso_noise{no_gradient};
+
+// --- augmentation/corruption/layer_op.cpp
+
+inline constexpr Operator<"add_layer", Tensor(Tensor images, Tensor layer, OptionalTensor windows, Tensor factors)>
+    add_layer{no_gradient};
+
 // --- augmentation/corruption/moved_op.cpp
 
 inline constexpr Operator<"sum_of_moved", Tensor(Tensor images, Tensor moves)> sum_of_moved{no_gradient};
@@ -95,6 +118,12 @@ inline constexpr Operator<"shot_noise", Tensor(Tensor images, Tensor parameters,
 inline constexpr Operator<"salt_and_pepper", Tensor(Tensor images, Tensor parameters, Tensor keys, OptionalTensor seeds,
                                                     OptionalTensor chosen, Ints plan)>
     salt_and_pepper{Rule{detail::salt_and_pepper_gradients, 0, false}};
+
+// --- augmentation/occlusion/objects_op.cpp
+
+inline constexpr Operator<"drop_objects",
+                          Tensor(Tensor masks, OptionalTensor components, Tensor words, Tensor counts, int64_t most)>
+    drop_objects{non_differentiable};
 
 // --- augmentation/preimages/preimages_op.cpp
 

@@ -60,6 +60,17 @@ def _by_pixel(four: Sequence[Tensor], images: Tensor) -> Tensor:
     return torch.stack(tuple(four), -1).flatten(2)[..., : height * width].unflatten(-1, (height, width))
 
 
+def words_of_pixels(images: Tensor, planes: int, keys: Tensor, seeds: Tensor | None, plan: Sequence[int]) -> Tensor:
+    """The words (B, planes, H, W) of the pixels of images."""
+    return _by_pixel(_words(images, planes, keys, seeds, plan), images)
+
+
+def normals_of_pixels(images: Tensor, planes: int, keys: Tensor, seeds: Tensor | None, plan: Sequence[int]) -> Tensor:
+    """The normal variates (B, planes, H, W) of the pixels of images, float64."""
+    first, second, third, fourth = _words(images, planes, keys, seeds, plan)
+    return _by_pixel((*_normals(first, second), *_normals(third, fourth)), images)
+
+
 def _normals(a: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
     """Two variates of the standard normal distribution in float64, by the transform of Box and Muller.
 
@@ -74,7 +85,8 @@ def _normals(a: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
     return radius * angle.cos(), radius * angle.sin()
 
 
-def _is_chosen(chosen: Tensor | None, images: Tensor) -> Tensor:
+def is_chosen(chosen: Tensor | None, images: Tensor) -> Tensor:
+    """Which samples are chosen, bool (B, 1, 1, 1), or () for all."""
     if chosen is None:
         return torch.ones((), dtype=torch.bool, device=images.device)
     return chosen[:, None, None, None] != 0
@@ -82,7 +94,7 @@ def _is_chosen(chosen: Tensor | None, images: Tensor) -> Tensor:
 
 def _stored(noisy: Tensor, images: Tensor, chosen: Tensor | None) -> Tensor:
     y = saturate_to_byte(noisy) if images.dtype == torch.uint8 else noisy.to(images.dtype)
-    return match_layout(torch.where(_is_chosen(chosen, images), y, images), images)
+    return match_layout(torch.where(is_chosen(chosen, images), y, images), images)
 
 
 def _full_range(images: Tensor) -> float:
@@ -101,8 +113,7 @@ def _gaussian_reference(
     chosen: Tensor | None,
     plan: Sequence[int],
 ) -> Tensor:
-    first, second, third, fourth = _words(images, _planes(images, plan), keys, seeds, plan)
-    normals = _by_pixel((*_normals(first, second), *_normals(third, fourth)), images)
+    normals = normals_of_pixels(images, _planes(images, plan), keys, seeds, plan)
     return _added(normals, images, parameters, chosen, _form(plan))
 
 
@@ -115,7 +126,7 @@ def _uniform_reference(
     plan: Sequence[int],
 ) -> Tensor:
     """Words as signed numbers, in units of 2^31."""
-    words = _by_pixel(_words(images, _planes(images, plan), keys, seeds, plan), images)
+    words = words_of_pixels(images, _planes(images, plan), keys, seeds, plan)
     signed = torch.where(words < 2**31, words, words - 2**32)
     return _added(signed.to(parameters.dtype) * 2.0**-31, images, parameters, chosen, _form(plan))
 
@@ -150,17 +161,17 @@ def _noise_backward(
         return [grad, None]
     # The noise alone, which only factors, clamped results and ranges with gradients need.
     standard = constant(((0.0, 1.0),), parameters)
-    grads, x, is_chosen = _computed(grad), _computed(images), _is_chosen(chosen, images)
+    grads, x, chooses = _computed(grad), _computed(images), is_chosen(chosen, images)
     noise = _ADDED[operator](torch.zeros_like(grads), standard, keys, seeds, chosen, [*plan[:4], form & SHARED])
     mean, scale = parameters[:, :, None, None, None].unbind(1)
     term = mean + scale * noise
-    to_result = torch.where(is_chosen, grads, 0.0)
+    to_result = torch.where(chooses, grads, 0.0)
     if form & CLAMP:
         y = x * term if form & MULTIPLY else x + term
         to_result = torch.where((y < 0) | (y > 1), 0.0, to_result)
     to_images = grad
     if form & (MULTIPLY | CLAMP):
-        to_images = torch.where(is_chosen, to_result * term if form & MULTIPLY else to_result, grads).to(grad.dtype)
+        to_images = torch.where(chooses, to_result * term if form & MULTIPLY else to_result, grads).to(grad.dtype)
     if not needs[1]:
         return [to_images, None]
     to_term = to_result * x if form & MULTIPLY else to_result
@@ -208,8 +219,7 @@ def _shot_reference(
     probabilities up to a mean of 64, and use an expansion above, which is one off with a probability of at most 1e-4.
     """
     if uniform is None:
-        words = _by_pixel(_words(images, images.shape[1], keys, seeds, plan), images)
-        uniform = unit(words ^ 2**31).float()
+        uniform = unit(words_of_pixels(images, images.shape[1], keys, seeds, plan) ^ 2**31).float()
     step, power = parameters[:, :, None, None, None].unbind(1)
     counts = poisson_quantile(
         uniform.to(parameters.dtype), (_computed(images) / _full_range(images)).clamp(0, 1) ** power / step
@@ -227,7 +237,7 @@ def _hits(
 ) -> tuple[Tensor, Tensor]:
     """Which pixels (B, 1, H, W), or (B, C, H, W) by channel, are hit, and which of them by salt."""
     planes = images.shape[1] if _form(plan) & BY_CHANNEL else 1
-    words = unit(_by_pixel(_words(images, planes, keys, seeds, plan), images))
+    words = unit(words_of_pixels(images, planes, keys, seeds, plan))
     amount, salt = parameters.double()[:, :, None, None, None].unbind(1)
     return words < amount, words < amount * salt
 
@@ -246,7 +256,7 @@ def _salt_and_pepper_reference(
     fill = salt.to(x.dtype)
     if _form(plan) & RANDOM:
         index, position, draw, *rest = plan
-        words = _by_pixel(_words(images, images.shape[1], keys, seeds, [index, position, draw + 1, *rest]), images)
+        words = words_of_pixels(images, images.shape[1], keys, seeds, [index, position, draw + 1, *rest])
         fill = (words >> 8).to(x.dtype) * 2.0**-24
     return _stored(torch.where(hit, fill * most, x), images, chosen)
 

@@ -162,6 +162,18 @@ def parse(
     return Range(low, high)
 
 
+def without_gradient(op: str, name: str, value: Any) -> Any:
+    """The value of a range whose draws are rounded or decide about sizes: a tensor that requires a gradient is refused."""
+    tensor = value.tensor if isinstance(value, ParameterOf) else value
+    if isinstance(tensor, Tensor) and tensor.requires_grad:
+        raise TypeCheckError(
+            f"{op}: expected {name} to be numbers, got a Tensor that requires a gradient, which it would not get; "
+            f"pass {name}.detach()",
+            actual_type=type(tensor),
+        )
+    return value
+
+
 def as_pair(value: Any) -> Any:
     """A number, or the only entry of a sequence, as the pair of it and itself; anything else as it is."""
     if isinstance(value, ParameterOf):

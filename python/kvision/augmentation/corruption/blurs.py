@@ -9,19 +9,18 @@ import torch
 from torch import Tensor
 
 from kvision import _check
-from kvision._choices import Border
+from kvision._clamp import clamp
 from kvision._dtype import compute_dtype
 from kvision._ops import without_autocast_and_tf32
 from kvision.augmentation import ranges
+from kvision.augmentation.corruption.glass import Moves, glass
 from kvision.augmentation.corruption.moved import sum_of_moved
-from kvision.augmentation.corruption.noises import params_in_type_of
 from kvision.augmentation.engine import Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
-from kvision.augmentation.random_generator.mapped import MappedGenerator, NoiseMap
+from kvision.augmentation.random_generator.mapped import MappedGenerator
 from kvision.augmentation.ranges import Numbers
 from kvision.core.exceptions import ValueCheckError
 from kvision.filters.filter2d import filter2d
-from kvision.filters.smoothing.gaussian import gaussian_blur2d
 
 _WINDOW = 8  # pixels to each side; larger disks have larger windows, and are blurred by five taps, not three
 
@@ -49,27 +48,6 @@ def disk_kernels(radius: Tensor, alias_blur: Tensor, largest: int) -> Tensor:
     reflected = taps_to(2 * edge - at) * (at < edge) + taps_to(-2 * edge - at) * (at > -edge)
     taps = (taps_to(at) + reflected) * (at[:, None].abs() <= edge)
     return taps @ (disk / disk.sum((1, 2), keepdim=True)) @ taps.mT
-
-
-def reach_of(sigma: float) -> int:
-    """Taps of a Gaussian to each side, up to four standard deviations."""
-    return int(4 * sigma + 0.5)
-
-
-def glass(x: Tensor, u: Tensor, sigma: float, max_delta: int, border: Border = "reflect") -> Tensor:
-    """Between two blurs, pixels read neighbors by uniform numbers (B, 2 n, H, W), n times."""
-    height, width = x.shape[-2:]
-    # From -max_delta to max_delta - 1, as in the benchmark of Hendrycks and Dietterich.
-    moves = ((u * (2 * max_delta)).long() - max_delta).flatten(2)
-    at = torch.arange(height * width, device=x.device).expand(len(u), -1)
-    for move in moves.split(2, 1):
-        along_y, along_x = move.gather(2, at[:, None].expand(-1, 2, -1)).unbind(1)
-        row, column = (at // width + along_y).clamp(0, height - 1), (at % width + along_x).clamp(0, width - 1)
-        at = row * width + column
-    blur = ((2 * reach_of(sigma) + 1,) * 2, (sigma, sigma), border)
-    smooth = gaussian_blur2d(x, *blur)
-    read = smooth.flatten(2).gather(2, at[:, None].expand(-1, x.shape[1], -1)).view_as(smooth)
-    return gaussian_blur2d(read, *blur)
 
 
 def mean_of_enlargements(x: Tensor, largest: Tensor, step: Tensor, most: int) -> Tensor:
@@ -107,8 +85,6 @@ class Defocus(IntensityAugmentationBase2D, keeps_contract=True):
         tensor([0.2000, 0.2000, 0.2000])
     """
 
-    accepts_bytes = False
-
     def __init__(
         self,
         radius_range: tuple[int, int] = (3, 10),
@@ -136,7 +112,7 @@ class Defocus(IntensityAugmentationBase2D, keeps_contract=True):
 
 
 class RingingOvershoot(IntensityAugmentationBase2D, keeps_contract=True):
-    """Filter images by circular low-pass filters of few taps, whose edges ring; borders are reflected.
+    """Filter images by circular low-pass filters of few taps, whose edges ring, within [0, 1]; borders are reflected.
 
     Args:
         blur_range: pair of the lowest and the highest side of the filter in pixels, odd ints of at least 3.
@@ -151,12 +127,10 @@ class RingingOvershoot(IntensityAugmentationBase2D, keeps_contract=True):
 
     Example:
         >>> import torch, kvision as K
-        >>> step = (torch.arange(16) > 7).float().expand(1, 1, 16, 16)
-        >>> bool(K.augmentation.RingingOvershoot((7, 7), (1.5, 1.5), p=1.0)(step).amax() > 1.05)
+        >>> step = 0.5 * (torch.arange(16) > 7).float().expand(1, 1, 16, 16)
+        >>> bool(K.augmentation.RingingOvershoot((7, 7), (1.5, 1.5), p=1.0)(step).amax() > 0.52)
         True
     """
-
-    accepts_bytes = False
 
     def __init__(
         self,
@@ -188,7 +162,8 @@ class RingingOvershoot(IntensityAugmentationBase2D, keeps_contract=True):
         wave = torch.special.bessel_j1(cutoff * radius) / (2 * math.pi * radius)
         taps = torch.where(radius == 0, cutoff / (4 * math.pi), wave)
         taps = taps * (torch.maximum(y.abs(), x.abs()) <= (side - 1) / 2)
-        return filter2d(input, taps / taps.sum((1, 2), keepdim=True))
+        y = filter2d(input, taps / taps.sum((1, 2), keepdim=True))
+        return y if y.dtype == torch.uint8 else clamp(y, 0, 1)
 
 
 class ZoomBlur(IntensityAugmentationBase2D, keeps_contract=True):
@@ -261,7 +236,7 @@ class GlassBlur(IntensityAugmentationBase2D, keeps_contract=True):
         tensor(0.5000)
     """
 
-    accepts_bytes = False
+    fuses_noise = True
 
     def __init__(
         self,
@@ -278,10 +253,10 @@ class GlassBlur(IntensityAugmentationBase2D, keeps_contract=True):
         self.sigma = ranges.parse(op, "sigma", (sigma, sigma), bounds=(1e-3, float("inf"))).low
         (_, self.max_delta) = ranges.parse_integers(op, "max_delta", (1, max_delta))
         (_, self.iterations) = ranges.parse_integers(op, "iterations", (1, iterations))
-        self._param_generator = MappedGenerator(maps={"offsets": NoiseMap(size=(2 * iterations, None, None))}, op=op)
+        self._param_generator = MappedGenerator(maps={"offsets": Moves(self.iterations)}, op=op)
 
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
-        (u,) = params_in_type_of(params, input, "offsets")
-        return glass(input, u, self.sigma, self.max_delta)
+        noise = params["_noise"][1] if "_noise" in params else params["offsets"]
+        return glass(input, noise, self.sigma, self.max_delta, self.iterations)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable, Sequence
 from typing import Any, ClassVar, Literal, NamedTuple, TypeAlias, get_args
@@ -15,11 +16,13 @@ from kvision._constants import constant
 from kvision._dtype import compute_dtype
 from kvision._modes import BLOCK_VALUE
 from kvision.augmentation import maps
-from kvision.augmentation.corruption.blurs import disk_kernels, glass, mean_of_enlargements, reach_of
+from kvision.augmentation.corruption.blurs import disk_kernels, mean_of_enlargements
+from kvision.augmentation.corruption.glass import Moves, glass, reach_of
+from kvision.augmentation.corruption.layer import behind
 from kvision.augmentation.corruption.moved import sum_of_moved
 from kvision.augmentation.corruption.noises import as_stored, in_units, photons
 from kvision.augmentation.corruption.pixelate import pixelate
-from kvision.augmentation.corruption.weather import WINDOW, as_textures, cut_textures, fogged, spattered
+from kvision.augmentation.corruption.weather import WINDOW, as_textures, fogged, frosted, spattered
 from kvision.augmentation.engine import Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
 from kvision.augmentation.noise import BY_CHANNEL, CLAMP, MULTIPLY, PixelNoise, gaussian_noise, salt_and_pepper
@@ -112,19 +115,29 @@ def _gaussian_blur(x: Tensor, drawn: Params, sigma: float) -> Tensor:
 
 
 def _glass_blur(x: Tensor, drawn: Params, sigma: float, max_delta: int, iterations: int) -> Tensor:
-    return glass(x, drawn["noise"][:, : 2 * iterations], sigma, max_delta, "replicate")
+    return glass(x, drawn["noise"], sigma, max_delta, iterations, "replicate")
+
+
+def _frosted_glass(x: Tensor, noise: PixelNoise, sigma: float, max_delta: int, iterations: int) -> Tensor:
+    return glass(x, noise, sigma, max_delta, iterations, "replicate")
+
+
+@functools.lru_cache
+def _disk(radius: float, alias_blur: float) -> tuple[Any, ...]:
+    """The taps (1, K, K) of a disk."""
+    numbers = (torch.tensor([n], dtype=torch.float64, device="cpu") for n in (radius, alias_blur))
+    return tuple(tuple(map(tuple, disk)) for disk in disk_kernels(*numbers, int(radius)).tolist())
 
 
 def _defocus_blur(x: Tensor, drawn: Params, radius: float, alias_blur: float) -> Tensor:
-    kernel = disk_kernels(x.new_full((1,), radius), x.new_full((1,), alias_blur), int(radius))
-    return filter2d(x, kernel)
+    return filter2d(x, constant(_disk(radius, alias_blur), x, compute_dtype(x)))
 
 
 def _motion_blur(x: Tensor, drawn: Params, radius: int, sigma: float) -> Tensor:
     """Means along a line that begins at the pixel, with the weights of half a Gaussian; borders are replicated."""
     (height, width), count = x.shape[-2:], 2 * radius + 1
     angle = drawn["angle"][:, None] * (math.pi / 180)
-    weights = (-0.5 * (torch.arange(count, device=x.device, dtype=x.dtype) / sigma) ** 2).exp()
+    weights = (-0.5 * (torch.arange(count, device=x.device, dtype=angle.dtype) / sigma) ** 2).exp()
     i = torch.arange(count, device=x.device)
     down, right = ((i * along - 0.5).ceil() for along in (angle.sin(), angle.cos()))
     is_inside = (down.abs() < height) & (right.abs() < width)
@@ -134,7 +147,7 @@ def _motion_blur(x: Tensor, drawn: Params, radius: int, sigma: float) -> Tensor:
 
 
 def _zoom_blur(x: Tensor, drawn: Params, count: int, step: float) -> Tensor:
-    steps = x.new_full((len(x),), step)
+    steps = torch.full((len(x),), step, device=x.device, dtype=compute_dtype(x))
     return mean_of_enlargements(x, torch.full_like(steps, torch.inf), steps, count)
 
 
@@ -161,12 +174,17 @@ def _snow(
     flakes = _motion_blur(clamp(torch.where(layer < threshold, 0, layer), 0, 1), drawn, radius, sigma)
     flakes = (flakes * 255).round() / 255
     gray = rgb_to_grayscale(x) if x.shape[1] == 3 else x.mean(1, keepdim=True)
-    bright = weight * x + (1 - weight) * torch.maximum(x, gray * 1.5 + 0.5)
-    return bright + flakes + flakes.flip(2, 3)
+    bright = torch.maximum(x, torch.lerp(gray * 1.5 + 0.5, x, weight))
+    return behind(bright, flakes + flakes.flip(2, 3), 1.0, 0.0, 1.0, 0.0)
+
+
+def _frost(x: Tensor, drawn: Params, of_image: float, of_frost: float) -> Tensor:
+    return frosted(drawn["module"], drawn, x, of_image, of_frost)
 
 
 def _fog(x: Tensor, drawn: Params, amount: float, roughness: float) -> Tensor:
-    return fogged(x, drawn["plasma"], x.new_full((1, 1, 1, 1), amount))
+    own = compute_dtype(x)
+    return fogged(x, drawn["plasma"].to(own), constant((amount,), x, own))
 
 
 def _brightness(x: Tensor, drawn: Params, change: float) -> Tensor:
@@ -217,7 +235,10 @@ def _spatter(
     intensity: float,
     is_mud: float,
 ) -> Tensor:
-    return spattered(x, mean + deviation * drawn["noise"], smooth, threshold, intensity, "mud" if is_mud else "rain")
+    noise = drawn["noise"].to(compute_dtype(x))
+    return spattered(
+        x, torch.add(mean, noise, alpha=deviation), smooth, threshold, intensity, "mud" if is_mud else "rain"
+    )
 
 
 _BORDER = Resampling("bilinear", "border", True)
@@ -251,14 +272,17 @@ CORRUPTIONS: dict[CorruptionName, Corruption] = {
     "gaussian_noise": Corruption(_gaussian_noise, _each(0.08, 0.12, 0.18, 0.26, 0.38), _NORMAL, fused=_normal_terms),
     "shot_noise": Corruption(_shot_noise, _each(60, 25, 12, 5, 3), _UNIFORM, fused=_photons),
     "impulse_noise": Corruption(_impulse_noise, _each(0.03, 0.06, 0.09, 0.17, 0.27), fused=_impulses),
-    "defocus_blur": Corruption(_defocus_blur, ((3, 0.1), (4, 0.5), (6, 0.5), (8, 0.5), (10, 0.5))),
+    "defocus_blur": Corruption(_defocus_blur, ((3, 0.1), (4, 0.5), (6, 0.5), (8, 0.5), (10, 0.5)), takes_bytes=True),
     "glass_blur": Corruption(
         _glass_blur,
         ((0.7, 1, 2), (0.9, 2, 1), (1.0, 2, 3), (1.1, 3, 2), (1.5, 4, 2)),
-        NoiseMap(size=(6, None, None)),
+        fused=_frosted_glass,
+        takes_bytes=True,
     ),
-    "motion_blur": Corruption(_motion_blur, ((10, 3), (15, 5), (15, 8), (15, 12), (20, 15)), None, (-45.0, 45.0)),
-    "zoom_blur": Corruption(_zoom_blur, ((12, 0.01), (16, 0.01), (11, 0.02), (13, 0.02), (11, 0.03))),
+    "motion_blur": Corruption(
+        _motion_blur, ((10, 3), (15, 5), (15, 8), (15, 12), (20, 15)), None, (-45.0, 45.0), takes_bytes=True
+    ),
+    "zoom_blur": Corruption(_zoom_blur, ((12, 0.01), (16, 0.01), (11, 0.02), (13, 0.02), (11, 0.03)), takes_bytes=True),
     "snow": Corruption(
         _snow,
         (
@@ -272,11 +296,14 @@ CORRUPTIONS: dict[CorruptionName, Corruption] = {
         (-135.0, -45.0),
     ),
     "frost": Corruption(
-        lambda x, drawn, of_image, of_frost: of_image * x + of_frost * drawn["frost"],
+        _frost,
         ((1.0, 0.4), (0.8, 0.6), (0.7, 0.7), (0.65, 0.7), (0.6, 0.75)),
+        takes_bytes=True,
     ),
     # The noise of its fractal shrinks by the square of the published decay, 2, 2, 1.7, 1.5 or 1.4, from step to step.
-    "fog": Corruption(_fog, ((1.5, 2**-2), (2.0, 2**-2), (2.5, 1.7**-2), (2.5, 1.5**-2), (3.0, 1.4**-2))),
+    "fog": Corruption(
+        _fog, ((1.5, 2**-2), (2.0, 2**-2), (2.5, 1.7**-2), (2.5, 1.5**-2), (3.0, 1.4**-2)), takes_bytes=True
+    ),
     "brightness": Corruption(_brightness, _each(0.1, 0.2, 0.3, 0.4, 0.5)),
     "contrast": Corruption(_contrast, _each(0.4, 0.3, 0.2, 0.1, 0.05)),
     "elastic_transform": Corruption(
@@ -285,7 +312,7 @@ CORRUPTIONS: dict[CorruptionName, Corruption] = {
     "pixelate": Corruption(_pixelate, _each(0.6, 0.5, 0.4, 0.3, 0.25), takes_bytes=True),
     "jpeg_compression": Corruption(_jpeg_compression, _each(25, 18, 15, 10, 7)),
     "speckle_noise": Corruption(_speckle_noise, _each(0.15, 0.2, 0.35, 0.45, 0.6), fused=_normal_factors),
-    "gaussian_blur": Corruption(_gaussian_blur, _each(1, 2, 3, 4, 6)),
+    "gaussian_blur": Corruption(_gaussian_blur, _each(1, 2, 3, 4, 6), takes_bytes=True),
     "spatter": Corruption(
         _spatter,
         (
@@ -296,6 +323,7 @@ CORRUPTIONS: dict[CorruptionName, Corruption] = {
             (0.67, 0.4, 1, 0.65, 1.5, True),
         ),
         NoiseMap(True, _PLANE),
+        takes_bytes=True,
     ),
     "saturate": Corruption(_saturate, ((0.3, 0), (0.1, 0), (2, 0), (5, 0.1), (20, 0.2))),
 }
@@ -362,6 +390,8 @@ class CommonCorruption(IntensityAugmentationBase2D, keeps_contract=True):
         numbers = severities[self.severity - 1]
         if self.name == "fog":
             return PlasmaGenerator(op, (numbers[1], numbers[1]), one_channel=True)
+        if self.name == "glass_blur":
+            map = Moves(int(numbers[2]))
         if self.name == "impulse_noise":
             map = Impulses(*numbers)
         if self.name == "speckle_noise":
@@ -377,10 +407,11 @@ class CommonCorruption(IntensityAugmentationBase2D, keeps_contract=True):
         if corruption.fused is not None and "_noise" in params:
             return corruption.fused(input, params["_noise"][1], *numbers)
         x = input if corruption.takes_bytes else in_units(input)
-        drawn: Params = {name: params[name].to(x) for name in ("noise", "angle", "plasma") if name in params}
-        if self.texture is not None:
-            drawn["frost"] = cut_textures(self, params, x)
+        drawn: Params = {**params, "module": self}
+        for name in ("noise", "angle", "plasma"):
+            if name in params:
+                drawn[name] = params[name].to(x.device, compute_dtype(x))
         y = corruption.apply(x, drawn, *numbers)
-        if y.dtype == torch.uint8:
+        if corruption.takes_bytes:
             return y
         return as_stored(y, input) if input.dtype == torch.uint8 else clamp(y, 0, 1)

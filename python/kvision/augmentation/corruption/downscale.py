@@ -10,6 +10,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._constants import constant
 from kvision._modes import BLOCK_VALUE
+from kvision.augmentation import ranges
 from kvision.augmentation.corruption.pixelate import pixelate
 from kvision.augmentation.engine import Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
@@ -49,7 +50,9 @@ class Downscale(IntensityAugmentationBase2D, keeps_contract=True):
         super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
         self.antialias = _check.switch("Downscale", "antialias", antialias)
         self._param_generator = MappedGenerator(
-            (scale_range, "scale", None, (1e-6, 1.0)), identity=[1.0], op="Downscale"
+            (ranges.without_gradient("Downscale", "scale_range", scale_range), "scale", None, (1e-6, 1.0)),
+            identity=[1.0],
+            op="Downscale",
         )
 
     def apply_transform(
@@ -57,15 +60,6 @@ class Downscale(IntensityAugmentationBase2D, keeps_contract=True):
     ) -> Tensor:
         scale = params["scale"].to(input.device, torch.float64)[:, None]
         counts = (scale * constant(tuple(input.shape[-2:]), scale)).round().clamp(min=1)
-        if self.antialias:
-            means: Tensor = pixelate(input, counts.float(), BLOCK_VALUE["mean"])
-            return means
-        y, x = (_read(n, count[:, None]) for n, count in zip(input.shape[-2:], counts.unbind(1)))
-        at = y[:, :, None] * input.shape[-1] + x[:, None]
-        return input.flatten(2).gather(2, at.flatten(1)[:, None].expand(-1, input.shape[1], -1)).view_as(input)
-
-
-def _read(size: int, count: Tensor) -> Tensor:
-    """The pixels (B, size) that blocks show, for pixels along an axis that has `count` (B, 1) blocks."""
-    block = (torch.arange(size, device=count.device) * count / size).floor()
-    return (block * size / count).floor().long().clamp(max=size - 1)
+        value = BLOCK_VALUE["mean" if self.antialias else "pixel"]
+        blocks: Tensor = pixelate(input, counts.float(), value)
+        return blocks

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import torch
@@ -11,16 +12,28 @@ from torch import Tensor
 from kvision import _check
 from kvision._clamp import clamp
 from kvision._dtype import compute_dtype
+from kvision._ops import match_layout, register
 from kvision.augmentation import ranges
+from kvision.augmentation.draws import unit
 from kvision.augmentation.engine import Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
-from kvision.augmentation.noise import CLAMP, PixelNoise, poisson_quantile, shot_noise
+from kvision.augmentation.keys import flatten_draws
+from kvision.augmentation.noise import (
+    CLAMP,
+    PixelNoise,
+    is_chosen,
+    normals_of_pixels,
+    poisson_quantile,
+    shot_noise,
+    words_of_pixels,
+)
 from kvision.augmentation.random_generator.mapped import FactorsGenerator, MappedGenerator, NoiseMap
 from kvision.augmentation.ranges import Numbers
 from kvision.augmentation.samples import per_sample
 from kvision.color.hls import hls_to_rgb, rgb_to_hls
 from kvision.core.exceptions import ShapeError
 
+_NO_KEY = torch.zeros(1, dtype=torch.int64, device="cpu")  # where noise is given
 _GAMMA = 2.2  # of the encoding that shot noise undoes
 
 
@@ -45,8 +58,7 @@ def photons(x: Tensor, parameters: Tensor, noise: PixelNoise | Tensor) -> Tensor
     """Images counted in photons, by `shot_noise`, from a source of noise or a uniform map."""
     x, parameters = x.detach(), parameters.to(compute_dtype(x))
     if isinstance(noise, Tensor):
-        key = torch.zeros(1, dtype=torch.int64, device="cpu")
-        y: Tensor = shot_noise(x, parameters, key, None, None, noise.to(x.device, torch.float32), (0, 0, 1, 0))
+        y: Tensor = shot_noise(x, parameters, _NO_KEY, None, None, noise.to(x.device, torch.float32), (0, 0, 1, 0))
         return y
     keys, seeds, chosen, plan = noise.arguments()
     y = shot_noise(x, parameters, keys, seeds, chosen, None, plan)
@@ -111,6 +123,41 @@ class ShotNoise(IntensityAugmentationBase2D, keeps_contract=True):
         return as_stored(clamp(counts * scale, 0, 1) ** (1 / _GAMMA), input)
 
 
+def _iso_reference(
+    images: Tensor,
+    parameters: Tensor,
+    keys: Tensor,
+    seeds: Tensor | None,
+    chosen: Tensor | None,
+    maps: Tensor | None,
+    plan: Sequence[int],
+) -> Tensor:
+    """RGB images whose hue gets normal noise, and whose lightness grows by Poisson counts of its own deviation.
+
+    Parameters (B, 2) are the deviation of hue as a fraction of a turn and the intensity. `maps` (B, 2, H, W) float32, of uniform
+    and of normal numbers, take the place of those of the draw and of the next one.
+    """
+    x = in_units(images)
+    if maps is None:
+        index, position, draw, *rest = plan
+        u = unit(words_of_pixels(images, 1, keys, seeds, plan) ^ 2**31).float()
+        normal = normals_of_pixels(images, 1, keys, seeds, [index, position, draw + 1, *rest])
+    else:
+        u, normal = maps.split(1, 1)
+    shift, intensity = parameters[:, :, None, None, None].unbind(1)
+    hue, lightness, saturation = rgb_to_hls(clamp(x, 0, 1)).split(1, 1)
+    mean = lightness.detach().mean((1, 2, 3), keepdim=True)
+    deviation = (lightness.detach() - mean).square().mean((1, 2, 3), keepdim=True).sqrt()
+    counts = poisson_quantile(u.to(x.dtype), (deviation * intensity).expand_as(lightness))
+    hue = hue + math.tau * shift * intensity * normal.to(x.dtype)
+    lightness = clamp(lightness + counts * intensity * (1 - lightness), 0, 1)
+    y = as_stored(hls_to_rgb(torch.cat([hue.remainder(math.tau), lightness, saturation], 1)), images)
+    return match_layout(torch.where(is_chosen(chosen, images), y, images), images)
+
+
+iso_noise = register("iso_noise", _iso_reference, bytes=True, casts_outputs=True, flatten=flatten_draws(keys=2))
+
+
 class ISONoise(IntensityAugmentationBase2D, keeps_contract=True):
     """Add the noise of a sensitive sensor to RGB images: counts to lightness, more where it varies, and normal noise to hue.
 
@@ -130,7 +177,7 @@ class ISONoise(IntensityAugmentationBase2D, keeps_contract=True):
         tensor([0.5000, 0.5000, 0.5000])
     """
 
-    accepts_bytes = False
+    fuses_noise = True
 
     def __init__(
         self,
@@ -157,16 +204,17 @@ class ISONoise(IntensityAugmentationBase2D, keeps_contract=True):
             raise ShapeError(
                 f"ISONoise: expected images with 3 channels, got {tuple(input.shape)}{_check.channels_advice(input.shape)}"
             )
-        shift, intensity, u, normal = params_in_type_of(
-            params, input, "color_shift", "intensity", "luminance_noise", "color_noise"
+        if "_noise" in params:
+            columns, noise = params["_noise"]
+            keys, seeds, chosen, plan = noise.arguments()
+            y: Tensor = iso_noise(input, columns.to(compute_dtype(input)), keys, seeds, chosen, None, plan)
+            return y
+        numbers = [params[name].to(input.device, compute_dtype(input)) for name in ("color_shift", "intensity")]
+        maps = torch.cat(
+            [params[name].to(input.device, torch.float32) for name in ("luminance_noise", "color_noise")], 1
         )
-        hue, lightness, saturation = rgb_to_hls(clamp(input, 0, 1).to(u.dtype)).split(1, 1)
-        mean = lightness.detach().mean((1, 2, 3), keepdim=True)
-        deviation = (lightness.detach() - mean).square().mean((1, 2, 3), keepdim=True).sqrt()
-        counts = poisson_quantile(u, (deviation * intensity).expand_as(u))
-        hue = hue + math.tau * shift * intensity * normal
-        lightness = clamp(lightness + counts * intensity * (1 - lightness), 0, 1)
-        return clamp(hls_to_rgb(torch.cat([hue.remainder(math.tau), lightness, saturation], 1)), 0, 1)
+        y = iso_noise(input, torch.stack(numbers, 1), _NO_KEY, None, None, maps, (0, 0, 1, 0))
+        return y
 
 
 def multiplied(generator: FactorsGenerator, x: Tensor, params: Params) -> Tensor:

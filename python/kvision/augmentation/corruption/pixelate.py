@@ -1,8 +1,9 @@
-"""Images of blocks: each pixel becomes the mean of the block that its center lies in."""
+"""Images of blocks: each pixel becomes the value of the block that it lies in."""
 
 from __future__ import annotations
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 from kvision._dtype import compute_dtype
@@ -15,12 +16,13 @@ from kvision._ops import match_layout, register, without_autocast_and_tf32
 def _reference(images: Tensor, counts: Tensor, value: int) -> Tensor:
     """`counts` (B, 2) of blocks down and across, whole numbers from 1 to the pixels that there are.
 
-    A block is the mean of what it covers of pixels, or of the pixels whose centers it covers, as in Pillow's box filter.
+    A block is the mean of what it covers of pixels, or of the pixels whose centers it covers, as in Pillow's box filter: pixels
+    show the block that their centers lie in. Or it is the pixel that its first corner lies in, as in OpenCV's nearest
+    interpolation, and pixels show the block that their first corners lie in.
     """
     sizes, own = images.shape[-2:], compute_dtype(images)
     each = [count.long().clamp(min=1).clamp(max=size)[:, None] for count, size in zip(counts.unbind(1), sizes)]
-    is_whole = value == BLOCK_VALUE["mean_of_whole"]
-    down, across = (_weights(size, count, is_whole).to(own)[:, None] for size, count in zip(sizes, each))
+    down, across = (_weights(size, count, value).to(own)[:, None] for size, count in zip(sizes, each))
     x = images.to(own)
     is_number = x.isfinite()  # blocks that have none keep away from the sums of others
     mean = down @ torch.where(is_number, x, 0) @ across.mT
@@ -29,14 +31,15 @@ def _reference(images: Tensor, counts: Tensor, value: int) -> Tensor:
     return match_layout((mean.round() if images.dtype == torch.uint8 else mean).to(images.dtype), images)
 
 
-def _weights(size: int, count: Tensor, is_whole: bool) -> Tensor:
-    """Weights (B, size, size) of pixels in the blocks of others: those that the center of a pixel is in."""
-    low = (
-        torch.arange(size, device=count.device) * count
-    )  # of a pixel, whose length is `count`; that of a block is `size`
+def _weights(size: int, count: Tensor, value: int) -> Tensor:
+    """Weights (B, size, size) of pixels in the blocks that others show."""
+    # Positions are multiples of a pixel divided by `count`: `low` of pixels, and `first` of blocks.
+    low = torch.arange(size, device=count.device) * count
+    if value == BLOCK_VALUE["pixel"]:
+        return F.one_hot(low // size * size // count, size).double()
     first = ((2 * low + count) // (2 * size) * size)[..., None]
     last, low, high = first + size, low[:, None], (low + count)[:, None]
-    if is_whole:
+    if value == BLOCK_VALUE["mean_of_whole"]:
         covered = (low + high > 2 * first) & (low + high <= 2 * last)
     else:
         covered = (torch.minimum(high, last) - torch.maximum(low, first)).clamp(min=0)

@@ -6,39 +6,41 @@ from collections.abc import Sequence
 from typing import Any, Literal, TypeAlias, get_args
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor
 
 from kvision import _check
 from kvision._clamp import clamp
 from kvision._constants import constant
 from kvision._dtype import compute_dtype
-from kvision.augmentation import maps, ranges
-from kvision.augmentation.corruption.blurs import reach_of
-from kvision.augmentation.corruption.noises import params_in_type_of
+from kvision.augmentation import ranges
+from kvision.augmentation.corruption.drops import drop_depths, drop_reliefs
+from kvision.augmentation.corruption.glass import reach_of
+from kvision.augmentation.corruption.layer import behind
 from kvision.augmentation.engine import Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
 from kvision.augmentation.random_generator.mapped import MappedGenerator, NoiseMap
 from kvision.augmentation.random_generator.plasma import PlasmaGenerator
 from kvision.augmentation.ranges import Numbers
-from kvision.augmentation.warp_and_color import Resampling
+from kvision.augmentation.samples import per_sample
 from kvision.core.exceptions import ShapeError, TypeCheckError
 from kvision.enhance.equalize import equalize
-from kvision.filters.filter2d import filter2d
 from kvision.filters.smoothing.gaussian import gaussian_blur2d
 
 SpatterMode: TypeAlias = Literal["rain", "mud"]
 _COLORS = {"rain": (175 / 255, 238 / 255, 238 / 255), "mud": (63 / 255, 42 / 255, 20 / 255)}
-_FAR = 20  # pixels from the outline of a drop, from which on its relief is flat
 
 
 def fogged(x: Tensor, plasma: Tensor, amount: Tensor) -> Tensor:
-    """Images under clouds (B, 1, H, W), stretched to [0, 1], of amounts (B, 1, 1, 1); the brightest value stays as it is."""
-    low, high = plasma.amin((2, 3), keepdim=True), plasma.amax((2, 3), keepdim=True)
-    brightest = x.amax((1, 2, 3), keepdim=True)
-    darker = brightest / (brightest + amount).clamp(min=1e-12)
-    clouds = (plasma - low) * (darker * amount / (high - low).clamp(min=1e-12))
-    return clamp(torch.addcmul(clouds, x, darker), 0, 1)
+    """Images under clouds (B, 1, H, W), stretched to [0, 1], of amounts (B,); the brightest value stays as it is."""
+    (low, high), brightest = (
+        torch.aminmax(plasma.flatten(1), dim=1),
+        clamp(x.amax((1, 2, 3)), 0, 255 if x.dtype == torch.uint8 else 1),
+    )
+    if x.dtype == torch.uint8:
+        brightest = brightest.to(amount.dtype) / 255
+    darker = brightest.to(amount.dtype) / (brightest + amount).clamp(min=1e-12)
+    clouds = darker * amount / (high - low).clamp(min=1e-12)
+    return behind(x, plasma, *(f[:, None] for f in (darker, torch.zeros_like(darker), clouds, -low * clouds)))
 
 
 class RandomFog(IntensityAugmentationBase2D, keeps_contract=True):
@@ -61,8 +63,6 @@ class RandomFog(IntensityAugmentationBase2D, keeps_contract=True):
         True
     """
 
-    accepts_bytes = False
-
     def __init__(
         self,
         intensity: Numbers = (1.5, 3.0),
@@ -81,8 +81,8 @@ class RandomFog(IntensityAugmentationBase2D, keeps_contract=True):
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
-        plasma, amount = params_in_type_of(params, input, "plasma", "intensity")
-        return fogged(clamp(input, 0, 1), plasma, amount)
+        plasma, amount = (params[name].to(input.device, compute_dtype(input)) for name in ("plasma", "intensity"))
+        return fogged(input, plasma, amount)
 
 
 def as_textures(op: str, texture: Any) -> Tensor:
@@ -96,10 +96,10 @@ def as_textures(op: str, texture: Any) -> Tensor:
     return textures.float() / 255 if textures.dtype == torch.uint8 else textures.detach()
 
 
-def cut_textures(module: Any, params: Params, x: Tensor) -> Tensor:
-    """A window of the textures of a module for each image, by uniform numbers `texture`, `top` and `left`.
+def frosted(module: Any, params: Params, x: Tensor, of_image: Tensor | float, of_frost: Tensor | float) -> Tensor:
+    """Images, and of the textures of a module a window for each, by weights: uniform numbers `texture`, `top`, `left` choose it.
 
-    Images of other than 3 channels get its mean. Textures move to the device of the first images.
+    Images of other than 3 channels get the mean of a texture. Textures move to the device of the first images.
     """
     if module.texture.device != x.device:
         module.texture = module.texture.to(x.device)
@@ -107,26 +107,14 @@ def cut_textures(module: Any, params: Params, x: Tensor) -> Tensor:
     (count, _, tall, wide), (height, width) = textures.shape, x.shape[-2:]
     if tall < height or wide < width:
         raise ShapeError(f"{op}: expected texture of at least {height} x {width} pixels, got {tall} x {wide}")
-    u, down, right = (params[name].to(x.device, torch.float64)[:, None, None] for name in ("texture", "top", "left"))
-    # Numbers below 1 may have been rounded to it.
-    index = (u * count).long().clamp(max=count - 1)
-    first_row = (down * (tall - height + 1)).long().clamp(max=tall - height)
-    first_column = (right * (wide - width + 1)).long().clamp(max=wide - width)
-    textures = textures.to(compute_dtype(x))
-    if count == 1:  # in one launch, without a map of indices
-        one, zero = torch.ones_like(down), torch.zeros_like(down)
-        rows = ((one, zero, first_column), (zero, one, first_row), (zero, zero, one))
-        matrix = torch.cat([torch.cat(row, 2) for row in rows], 1)
-        windows = maps.warp(textures.expand(len(x), -1, -1, -1), matrix, (height, width), _PIXELS, inverse=False)
-    else:
-        at_rows = first_row + torch.arange(height, device=x.device)[:, None]
-        at_columns = first_column + torch.arange(width, device=x.device)
-        windows = textures[index, :, at_rows, at_columns].movedim(-1, 1)
-    return windows if x.shape[1] == 3 else windows.mean(1, keepdim=True)
+    u = torch.stack([params[name].to(x.device, torch.float64) for name in ("texture", "top", "left")], 1)
+    # Numbers below 1 may have been rounded to it, which the operator clamps.
+    windows = (u * constant((count, tall - height + 1, wide - width + 1), u)).long()
+    own = textures if x.shape[1] == textures.shape[1] else textures.mean(1, keepdim=True)
+    return behind(x, own, of_image, 0.0, of_frost, 0.0, windows=windows)
 
 
-_PIXELS = Resampling("nearest", "border", True)
-WINDOW = [((0.0, 1.0), name, None, None) for name in ("texture", "top", "left")]  # what `cut_textures` takes
+WINDOW = [((0.0, 1.0), name, None, None) for name in ("texture", "top", "left")]  # what `frosted` takes
 
 
 class RandomFrost(IntensityAugmentationBase2D, keeps_contract=True):
@@ -150,7 +138,6 @@ class RandomFrost(IntensityAugmentationBase2D, keeps_contract=True):
         tensor(0.7500)
     """
 
-    accepts_bytes = False
     texture: Tensor
 
     def __init__(
@@ -176,8 +163,9 @@ class RandomFrost(IntensityAugmentationBase2D, keeps_contract=True):
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
-        of_image, of_frost = params_in_type_of(params, input, "image_weight", "frost_weight")
-        return clamp(torch.addcmul(of_frost * cut_textures(self, params, input), of_image, input), 0, 1)
+        names = ("image_weight", "frost_weight")
+        of_image, of_frost = (params[name].to(input.device, compute_dtype(input))[:, None] for name in names)
+        return frosted(self, params, input, of_image, of_frost)
 
 
 class Spatter(IntensityAugmentationBase2D, keeps_contract=True):
@@ -207,8 +195,6 @@ class Spatter(IntensityAugmentationBase2D, keeps_contract=True):
         >>> mud(torch.ones(1, 3, 32, 32)).amin()
         tensor(0.5000)
     """
-
-    accepts_bytes = False
 
     def __init__(
         self,
@@ -247,12 +233,14 @@ class Spatter(IntensityAugmentationBase2D, keeps_contract=True):
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
-        names = ("mean", "std", "cutout_threshold", "intensity", "noise")
-        mean, std, threshold, intensity, noise = params_in_type_of(params, input, *names)
-        smooth, soft = (params[name].to(noise)[:, None].expand(-1, 2) for name in ("gauss_sigma", "intensity"))
-        layer = _smooth(mean + std * noise, smooth, self._reaches[0])
+        names = ("mean", "std", "cutout_threshold", "intensity", "gauss_sigma")
+        own = compute_dtype(input)
+        mean, std, threshold, intensity, sigma = (params[name].to(input.device, own) for name in names)
+        noise = torch.addcmul(per_sample(mean, input), per_sample(std, input), params["noise"].to(input.device, own))
+        layer = _smooth(noise, sigma[:, None].expand(-1, 2), self._reaches[0])
         if self.mode == "rain":
             return rainy(input, layer, threshold, intensity, self.color)
+        soft = intensity[:, None].expand(-1, 2)
         return muddy(input, layer, threshold, soft, self._reaches[1], self.color)
 
 
@@ -263,65 +251,45 @@ def _smooth(x: Tensor, deviations: Any, reach: int) -> Tensor:
 
 def spattered(x: Tensor, noise: Tensor, smooth: float, threshold: float, intensity: float, mode: SpatterMode) -> Tensor:
     """Images behind rain or mud of noise (B, 1, H, W)."""
-    layer = _smooth(noise, (smooth, smooth), reach_of(smooth))
+    layer, own = _smooth(noise, (smooth, smooth), reach_of(smooth)), constant((threshold,), noise)
     if mode == "rain":
-        return rainy(x, layer, threshold, intensity)
-    return muddy(x, layer, threshold, (intensity, intensity), reach_of(intensity))
+        return rainy(x, layer, own, constant((intensity,), noise))
+    return muddy(x, layer, own, (intensity, intensity), reach_of(intensity))
 
 
-def _colored(x: Tensor, color: tuple[float, ...]) -> Tensor:
-    """A color that broadcasts with images, gray where these are not RGB."""
-    own = constant(color, x)[:, None, None]
-    return own if x.shape[1] == 3 else own.mean()
+def _colored(color: tuple[float, ...], x: Tensor, like: Tensor) -> Tensor:
+    """A color (1, C) for the channels of images, gray (1, 1) where these are not RGB."""
+    own = constant((color,), like)
+    return own if x.shape[1] == 3 else own.mean(1, keepdim=True)
 
 
 def muddy(
     x: Tensor,
     layer: Tensor,
-    threshold: Tensor | float,
+    threshold: Tensor,
     soft: Any,
     reach: int,
     color: tuple[float, ...] = _COLORS["mud"],
 ) -> Tensor:
-    """Images behind stains where smooth noise (B, 1, H, W) is above a threshold; their edges have a Gaussian of so many taps."""
-    stains = _smooth((layer > threshold).to(layer), soft, reach)
+    """Images behind stains where smooth noise (B, 1, H, W) is above thresholds (B,); a Gaussian of so many taps softens them."""
+    stains = _smooth((layer > threshold[:, None, None, None]).to(layer), soft, reach)
     stains = torch.where(stains < 0.8, 0, stains)
-    return clamp(x * (1 - stains) + _colored(stains.expand_as(x), color) * stains, 0, 1)
+    return behind(x, stains, 1.0, -1.0, _colored(color, x, layer), 0.0)
 
 
 def rainy(
     x: Tensor,
     layer: Tensor,
-    threshold: Tensor | float,
-    intensity: Tensor | float,
+    threshold: Tensor,
+    intensity: Tensor,
     color: tuple[float, ...] = _COLORS["rain"],
 ) -> Tensor:
-    """Images brightened by drops where smooth noise (B, 1, H, W) is above a threshold.
+    """Images brightened by drops of intensities (B,) where smooth noise (B, 1, H, W) is above thresholds (B,).
 
     A drop is a relief of its levels, lit from a corner: that of the distance from the outlines of drops.
     """
-    levels = torch.where(layer < threshold, 0, layer).clamp(0, 1).mul(255).floor()
-    inside = (levels > 0).to(levels)
-    least = torch.minimum(*(-F.max_pool2d(-inside, k, 1, (k[0] // 2, k[1] // 2)) for k in ((3, 1), (1, 3))))
-    distance = _distances(inside > least)
-    spread = equalize(_mean_of_nine(distance).floor().to(torch.uint8), opencv=True).to(levels)
-    light = constant(((-2.0, -1.0, 0.0), (-1.0, 1.0, 1.0), (0.0, 1.0, 2.0)), levels)[None]
-    relief = _mean_of_nine(filter2d(spread, light).round().clamp(0, 255)).round() * levels
-    drops = relief / relief.amax((2, 3), keepdim=True).clamp(min=1) * intensity
-    return clamp(x + drops * _colored(x, color), 0, 1)
-
-
-def _mean_of_nine(x: Tensor) -> Tensor:
-    y: Tensor = filter2d(x, constant(((1 / 9,) * 3,) * 3, x)[None])
-    return y
-
-
-def _distances(is_marked: Tensor) -> Tensor:
-    """The Euclidean distances (B, 1, H, W) to the nearest marked pixel, at most `_FAR`: along rows, and then along columns."""
-    squares = (~is_marked).float() * _FAR**2
-    for pad in ((_FAR, _FAR), (0, 0, _FAR, _FAR)):
-        padded, axis = F.pad(squares, pad, value=float(_FAR**2)), 3 if len(pad) == 2 else 2
-        for moved in range(-_FAR + 1, _FAR):
-            near = padded.narrow(axis, _FAR + moved, squares.shape[axis])
-            squares = torch.minimum(squares, near + moved * moved)
-    return squares.sqrt()
+    layer, threshold = layer.detach(), threshold.detach()
+    depths = equalize(drop_depths(layer, threshold), opencv=True)
+    relief = drop_reliefs(layer, threshold, depths)
+    strength = intensity / relief.amax((1, 2, 3)).clamp(min=1)
+    return behind(x, relief, 1.0, 0.0, strength[:, None] * _colored(color, x, layer), 0.0)

@@ -10,6 +10,7 @@ import torch
 from torch import Generator, Tensor
 from torch.compiler import is_compiling
 
+from kvision._ops import register
 from kvision.augmentation import ranges
 from kvision.augmentation.draws import mixed_words
 from kvision.augmentation.engine import Execution, Params, check_images
@@ -20,6 +21,38 @@ from kvision.augmentation.random_generator.mapped import MappedGenerator
 from kvision.augmentation.random_generator.occlusion import fill_maps
 from kvision.augmentation.ranges import Numbers
 from kvision.contrib.connected_components import connected_components
+
+
+def _reference(masks: Tensor, components: Tensor | None, words: Tensor, counts: Tensor, most: int) -> Tensor:
+    """1 where an object of masks (B, N, H, W) int64 is dropped, bytes (B, 1, H, W).
+
+    An object is what a mask has that is not 0; with `components` (B, 1, H, W) int64, the numbers of regions of one mask a sample,
+    it is what a region has of one value. Every object has a random rank, by the words (B,); those of the highest `counts` (B,)
+    ranks, at most `most`, are dropped.
+    """
+    is_inside = masks != 0
+    if components is None:
+        objects = torch.arange(masks.shape[1], device=masks.device)[:, None, None]
+    else:
+        objects = components + mixed_words(masks)
+    rank = torch.where(is_inside, mixed_words(objects ^ mixed_words(words.long()[:, None, None, None])), -1)
+    dropped = torch.zeros_like(is_inside[:, :1])
+    for i in range(most if 0 not in masks.shape else 0):
+        best = rank.amax((1, 2, 3), keepdim=True)
+        is_hit = (rank == best) & (best >= 0) & (i < counts[:, None, None, None])
+        dropped = dropped | is_hit.any(1, keepdim=True)
+        rank = torch.where(is_hit, -1, rank)
+    return dropped.to(torch.uint8)
+
+
+drop_objects = register(
+    "drop_objects",
+    _reference,
+    fake=lambda masks, *_: masks.new_empty((masks.shape[0], 1, *masks.shape[2:]), dtype=torch.uint8),
+    non_differentiable=(0,),
+    labels=True,
+    casts_outputs=True,
+)
 
 
 class MaskDropout(DropoutBase, keeps_contract=True):
@@ -107,26 +140,16 @@ class MaskDropout(DropoutBase, keeps_contract=True):
         return self._run(x, execution, self.flags), execution
 
     def _dropped(self, execution: Execution, labels: Sequence[Tensor] | None, x: Tensor) -> Tensor:
-        """The pixels (B, 1, H, W) of the objects that are dropped.
-
-        Every object has a random rank, that of its pixels; those of the highest ranks are dropped, without a loop over all.
-        """
+        """The pixels (B, 1, H, W) of the objects that are dropped."""
         dropped = torch.zeros((len(x), 1, *x.shape[-2:]), dtype=torch.bool, device=x.device)
         if labels is None or execution.columns is None or 0 in labels[0].shape:
             return dropped
         params = self._named(execution.columns.values, execution)
-        masks = labels[0].to(x.device)
-        is_inside = masks != 0
+        masks, components = labels[0].to(x.device), None
         if masks.shape[1] == 1:
-            values = masks.float().view(torch.int32) if masks.is_floating_point() else masks
-            objects = connected_components(is_inside.float()) + mixed_words(values.long())
-        else:
-            objects = torch.arange(masks.shape[1], device=x.device)[:, None, None]
-        word, count = (params[name].long()[:, None, None, None] for name in ("word", "objects"))
-        rank = torch.where(is_inside, mixed_words(objects ^ mixed_words(word)), -1)
-        for i in range(self.max_objects[1]):
-            best = rank.amax((1, 2, 3), keepdim=True)
-            is_hit = (rank == best) & (best >= 0) & (i < count)
-            dropped = dropped | is_hit.any(1, keepdim=True)
-            rank = torch.where(is_hit, -1, rank)
-        return dropped
+            components = connected_components((masks != 0).byte())
+        if masks.is_floating_point():  # by their bits: -0 is 0
+            masks = torch.where(masks == 0, 0, masks.float().view(torch.int32))
+        words, counts = (params[name].to(x.device, torch.float32) for name in ("word", "objects"))
+        hit: Tensor = drop_objects(masks.long(), components, words, counts, self.max_objects[1])
+        return hit.view(torch.bool)

@@ -1,0 +1,27 @@
+// Pixels that read neighbors on the CPU: rows [begin, end) of all samples. Compiled once per instruction set.
+#include "core/lanes.h"
+// Included after core/lanes.h, whose vectors it uses.
+#include "augmentation/corruption/glass.h"
+
+namespace kv::augmentation::KV_ISA {
+
+template <class T>
+void read_neighbors(ReadNeighbors<T> const& p, int64_t begin, int64_t end) {
+  for (int64_t r = begin; r < end; ++r) {
+    int64_t const b = r / p.height, row = r % p.height;
+    DrawSource const source = p.noise.source(b);
+    T const* const x = p.x + b * p.x_strides[0];
+    T* const y = p.y + b * p.y_strides[0] + row * p.y_strides[2];
+    for (int64_t column = 0; column < p.width; ++column) {
+      typename ReadNeighbors<T>::Pixel at{int(row), int(column)};
+      for (int step = 0; step < p.steps; ++step) at = p.step_from(b, source, step, at);
+      for (int64_t c = 0; c < p.channels; ++c)
+        y[c * p.y_strides[1] + column * p.y_strides[3]] =
+            x[c * p.x_strides[1] + at.row * p.x_strides[2] + at.column * p.x_strides[3]];
+    }
+  }
+}
+
+KV_INSTANTIATE_WITH_BYTES(read_neighbors, ReadNeighbors)
+
+}  // namespace kv::augmentation::KV_ISA

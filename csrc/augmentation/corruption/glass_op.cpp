@@ -1,0 +1,48 @@
+// Pixels that read neighbors: schema and entry, for CPU and CUDA.
+#include "augmentation/corruption/glass.h"
+#include "augmentation/noise_glue.h"
+
+namespace kv::augmentation {
+namespace {
+
+// Images; uniform (B, 2 steps, H, W) float32 in place of drawn numbers; the others as those of gaussian_noise.
+Tensor read_neighbors(Tensor const& images, Tensor const& keys, std::optional<Tensor> const& seeds,
+                      std::optional<Tensor> const& uniform, std::vector<int64_t> const& plan, int64_t max_delta,
+                      int64_t steps) {
+  constexpr char const* op = "read_neighbors";
+  check_images(op, "images", images);
+  int64_t const batch = images.size(0), height = images.size(2), width = images.size(3);
+  NoiseSource const source{op, images, keys, seeds, plan};
+  source.check();
+  KV_CHECK(max_delta >= 1 && max_delta <= ReadNeighbors<float>::kMaxDelta && steps >= 0 && steps <= 65535, op,
+           ": max_delta or steps out of range");
+  KV_CHECK(height * width <= INT32_MAX / 2 && steps * ((height * width + 3) / 4) <= UINT32_MAX, op,
+           ": expected at most 2^30 pixels, and 2^34 moves");
+  if (uniform)
+    KV_CHECK(uniform->dim() == 4 && uniform->size(0) == batch && uniform->size(1) == 2 * steps &&
+                 uniform->size(2) == height && uniform->size(3) == width &&
+                 uniform->scalar_type() == ScalarType::Float && uniform->device() == images.device(),
+             op, ": expected float32 uniform of shape (B, 2 steps, H, W) on the device of images");
+  Tensor const y = empty_like(images, layout_of(images));
+  std::optional<Tensor> const u = uniform ? std::optional<Tensor>(dense(*uniform)) : std::nullopt;
+  dispatch_floating_and_uint8(op, images, [&]<class T>(Type<T>) {
+    ReadNeighbors<T> params{};
+    source.set(params.noise);
+    params.noise.pixels = height * width;
+    params.noise.uniform = u ? data_ptr<float const>(*u) : nullptr;
+    params.x = data_ptr<T const>(images), params.y = data_ptr<T>(y);
+    params.batch = batch, params.channels = images.size(1), params.height = height, params.width = width;
+    for (int i = 0; i < 4; ++i) params.x_strides[i] = images.stride(i), params.y_strides[i] = y.stride(i);
+    params.max_delta = int(max_delta), params.steps = int(steps);
+    KV_RUN(read_neighbors, images, params, images.numel() ? batch * height : 0, width * (16 * steps + 1));
+  });
+  return y;
+}
+
+}  // namespace
+
+KV_OPERATOR(read_neighbors,
+            "(Tensor images, Tensor keys, Tensor? seeds, Tensor? uniform, int[] plan, int max_delta, int steps) "
+            "-> Tensor")
+
+}  // namespace kv::augmentation

@@ -1,0 +1,145 @@
+// The noise of a sensor on CUDA: a thread has four pixels, for the words of one block. A first kernel leaves sums of
+// the lightness of chunks of pixels, a block each; the second one adds those of a sample up in each block.
+#include "augmentation/corruption/iso_noise.h"
+#include "core/block_reduce.cuh"
+#include "core/launch.cuh"
+
+namespace kv::augmentation::cuda {
+namespace {
+
+constexpr int kIsoThreads = int(kIsoPixels / 4);
+
+// The colors of four adjacent pixels, fewer at the end of a plane. Vectorized: planar images, whose planes are whole
+// vectors.
+template <class T, bool Vectorized>
+struct FourColors {
+  Vector<T, 4> v[3];
+  int64_t at;  // of the first element
+  int count;
+
+  __device__ __forceinline__ FourColors(PixelNoise<T> const& p, int64_t b, int64_t pixel)
+      : at(p.offset(b, 0) + pixel * p.step), count(int(min(p.pixels - pixel, int64_t(4)))) {
+#pragma unroll
+    for (int c = 0; c < 3; ++c) {
+      T const* const x = p.x + at + c * p.channel_stride;
+      if constexpr (Vectorized) {
+        v[c] = *reinterpret_cast<Vector<T, 4> const*>(x);
+      } else {
+#pragma unroll
+        for (int k = 0; k < 4; ++k)
+          if (k < count) v[c].v[k] = x[k * p.step];
+      }
+    }
+  }
+  __device__ __forceinline__ void get(int k, Compute<T> full_range, Compute<T> (&c)[3]) const {
+#pragma unroll
+    for (int i = 0; i < 3; ++i) c[i] = Compute<T>(read(v[i].v[k])) / full_range;
+  }
+  __device__ __forceinline__ void store(PixelNoise<T> const& p) const {
+#pragma unroll
+    for (int c = 0; c < 3; ++c) {
+      T* const y = p.y + at + c * p.channel_stride;
+      if constexpr (Vectorized) {
+        store_vector(y, v[c]);
+      } else {
+#pragma unroll
+        for (int k = 0; k < 4; ++k)
+          if (k < count) y[k * p.step] = v[c].v[k];
+      }
+    }
+  }
+};
+
+template <class T, bool Vectorized>
+__global__ void __launch_bounds__(kIsoThreads) add_lightness(__grid_constant__ IsoNoise<T> const p) {
+  using F = Compute<T>;
+  int64_t const b = blockIdx.y, i = blockIdx.x;
+  double sums[2] = {};
+  for (int64_t pixel = p.begin(i) + 4 * threadIdx.x; pixel < p.end(i); pixel += kIsoPixels) {
+    FourColors<T, Vectorized> const four(p.noise, b, pixel);
+#pragma unroll
+    for (int k = 0; k < 4; ++k) {
+      if (k >= four.count) break;
+      F c[3];
+      four.get(k, p.noise.full_range, c);
+      within_units(c);
+      double const lightness = Hls<F>(c).lightness;
+      sums[0] += lightness, sums[1] += lightness * lightness;
+    }
+  }
+  store_block_sums<kIsoThreads>(sums, p.sums + 2 * (b * p.chunks + i));
+}
+
+template <class T, bool Vectorized>
+__global__ void __launch_bounds__(kIsoThreads) add_counts(__grid_constant__ IsoNoise<T> const p) {
+  using F = Compute<T>;
+  PixelNoise<T> const& noise = p.noise;
+  int64_t const b = blockIdx.y, i = blockIdx.x;
+  double const* const sums = sum_rows<kIsoThreads, 2>(p.sums + 2 * b * p.chunks, p.chunks);
+  F const* const parameters = noise.parameters + b * noise.parameter_stride;
+  IsoSample<F> const sample(parameters[0], parameters[1], sums[0], sums[1], double(noise.pixels));
+  bool const is_chosen = noise.is_chosen(b);
+  float const* const maps = noise.uniform ? noise.uniform + 2 * b * noise.pixels : nullptr;
+  for (int64_t pixel = p.begin(i) + 4 * threadIdx.x; pixel < p.end(i); pixel += kIsoPixels) {
+    FourColors<T, Vectorized> four(noise, b, pixel);
+    if (is_chosen) {
+      F u[4] = {}, n[4] = {};
+      if (maps) {
+#pragma unroll
+        for (int k = 0; k < 4; ++k)
+          if (k < four.count) u[k] = maps[pixel + k], n[k] = maps[noise.pixels + pixel + k];
+      } else {
+        PhiloxWords const words = noise.source(b).words(noise.draw, uint32_t(pixel / 4));
+        PhiloxWords const own = noise.source(b).words(noise.draw + 1, uint32_t(pixel / 4));
+#pragma unroll
+        for (int k = 0; k < 4; ++k) u[k] = unit_of(words.w[k]);
+        if constexpr (sizeof(F) == 8) {
+          normals_of(own, n);
+        } else {
+#pragma unroll
+          for (int k = 0; k < 4; k += 2) normal_pair<1>(int32_t(own.w[k]), int32_t(own.w[k + 1]), n[k], n[k + 1]);
+        }
+      }
+#pragma unroll
+      for (int k = 0; k < 4; ++k) {
+        F c[3];
+        four.get(k, noise.full_range, c);
+        sample.change(
+            c, u[k], n[k], [](F exponent) { return ::exp(exponent); }, [](F square) { return ::sqrt(square); });
+#pragma unroll
+        for (int j = 0; j < 3; ++j) four.v[j].v[k] = round_to<T>(c[j] * noise.full_range);
+      }
+    }
+    four.store(noise);
+  }
+}
+
+template <class T, class Launch>
+int launch_chunks(IsoNoise<T> const& p, Launch const& launch) {
+  PixelNoise<T> const& n = p.noise;
+  constexpr size_t bytes = alignof(Vector<T, 4>);
+  bool const whole = n.step == 1 && n.pixels % 4 == 0 && reinterpret_cast<uintptr_t>(n.x) % bytes == 0 &&
+                     reinterpret_cast<uintptr_t>(n.y) % bytes == 0;
+  with_alignment<T>(whole, [&](auto vectorized) { launch(vectorized, dim3(unsigned(p.chunks), unsigned(n.batch))); });
+  return cudaGetLastError();
+}
+
+}  // namespace
+
+template <class T>
+int sum_lightness(IsoNoise<T> const& p, CUstream_st* stream) {
+  return launch_chunks(p, [&](auto vectorized, dim3 blocks) {
+    add_lightness<T, vectorized.value><<<blocks, kIsoThreads, 0, stream>>>(p);
+  });
+}
+
+template <class T>
+int iso_noise(IsoNoise<T> const& p, CUstream_st* stream) {
+  return launch_chunks(
+      p, [&](auto vectorized, dim3 blocks) { add_counts<T, vectorized.value><<<blocks, kIsoThreads, 0, stream>>>(p); });
+}
+
+KV_INSTANTIATE_WITH_BYTES(sum_lightness, IsoNoise)
+KV_INSTANTIATE_WITH_BYTES(iso_noise, IsoNoise)
+
+}  // namespace kv::augmentation::cuda

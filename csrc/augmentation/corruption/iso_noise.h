@@ -1,0 +1,94 @@
+// The noise of a sensitive sensor: Poisson counts of the deviation of an image's lightness, and a normal hue.
+// corruption/noises.py of kvision.augmentation defines it. Included by iso_noise_cpu.cpp, iso_noise.cu and
+// iso_noise_op.cpp.
+#pragma once
+
+#include "augmentation/noise.h"
+
+namespace kv::augmentation {
+
+// RGB images. Parameters are the deviation of hue in turns and the intensity. `uniform` has two planes a sample,
+// uniform and normal numbers, in place of those of the draw and the next one; or null.
+template <class T>
+struct IsoNoise {
+  PixelNoise<T> noise;
+  double* sums;  // (B, chunks, 2): of the lightness and its square
+  int64_t chunk, chunks;
+
+  KV_HD int64_t begin(int64_t i) const { return i * chunk; }
+  KV_HD int64_t end(int64_t i) const { return min((i + 1) * chunk, noise.pixels); }
+};
+
+KV_KERNEL(sum_lightness, IsoNoise)
+KV_KERNEL(iso_noise, IsoNoise)
+
+// Pixels of a chunk are a multiple of this, and there are at most so many chunks.
+constexpr int64_t kIsoPixels = 1024, kIsoChunks = 128;
+
+// Colors within [0, 1]; NaN stays.
+template <class F>
+KV_HD void within_units(F (&c)[3]) {
+  for (int i = 0; i < 3; ++i) c[i] = c[i] < 0 ? F(0) : c[i] > 1 ? F(1) : c[i];
+}
+
+// The floor of small numbers.
+template <class F>
+KV_HD F floor_of_small(F x) {
+  F const whole = F(int(x));
+  return whole > x ? whole - 1 : whole;
+}
+
+// Hue in sixths of a turn, lightness and saturation, as rgb_to_hls of kvision.color.
+template <class F>
+struct Hls {
+  F sixths, lightness, saturation;
+
+  KV_HD explicit Hls(F const (&c)[3]) {
+    F const high = max(max(c[0], c[1]), c[2]), low = min(min(c[0], c[1]), c[2]), range = high - low, sum = high + low;
+    F const room = min(sum, 2 - sum), own = range + F(1e-8);
+    F const total = c[0] + c[1] + c[2];
+    lightness = total == total ? sum * F(0.5) : total;
+    saturation = range / (room == 0 ? F(1) : room + F(1e-8));
+    sixths = high == c[0] ? (c[1] - c[2]) / own : high == c[1] ? 2 + (c[2] - c[0]) / own : 4 + (c[0] - c[1]) / own;
+  }
+  // Sixths of any number of turns.
+  KV_HD void to_rgb(F (&c)[3]) const {
+    F const depth = saturation * min(lightness, 1 - lightness);
+    constexpr int kFirst[] = {5, 3, 1};
+    for (int i = 0; i < 3; ++i) {
+      F const turned = (sixths + F(kFirst[i])) * F(1. / 6), k = 6 * (turned - floor_of_small(turned));
+      F const lack = min(max(min(k, 4 - k), F(0)), F(1));
+      c[i] = lightness + depth - 2 * depth * lack;
+    }
+  }
+};
+
+// What the pixels of a sample have in common. If one is NaN, the rate and all results are.
+template <class F>
+struct IsoSample {
+  F sixths, intensity, rate;  // the deviation of hue, and the rate of counts
+
+  // Of the sums of all lightnesses and their squares.
+  KV_HD IsoSample(F shift, F intensity, double sum, double squares, double pixels)
+      : sixths(6 * shift * intensity), intensity(intensity) {
+    double const mean = sum / pixels;
+    rate = F(sqrt(max(squares / pixels - mean * mean, 0.))) * intensity;
+  }
+  template <class Exp, class Sqrt>
+  KV_HD void change(F (&c)[3], F u, F normal, Exp const& exponential_of, Sqrt const& root_of) const {
+    within_units(c);
+    if (rate != rate) {
+      c[0] = c[1] = c[2] = rate;
+      return;
+    }
+    Hls<F> own(c);
+    own.sixths += sixths * normal;
+    F const lighter =
+        own.lightness + poisson_quantile(u, rate, exponential_of, root_of) * intensity * (1 - own.lightness);
+    own.lightness = lighter < 0 ? F(0) : lighter > 1 ? F(1) : lighter;
+    own.to_rgb(c);
+    within_units(c);
+  }
+};
+
+}  // namespace kv::augmentation

@@ -1,0 +1,85 @@
+// The noise of a sensor on the CPU: chunks [begin, end) of all samples. Compiled once per instruction set.
+#include "core/lanes.h"
+// Included after core/lanes.h, whose vectors it uses.
+#include "augmentation/corruption/iso_noise.h"
+
+namespace kv::augmentation::KV_ISA {
+
+namespace {
+
+template <class T>
+KV_HD void read_color(PixelNoise<T> const& p, int64_t at, Compute<T> (&c)[3]) {
+  for (int i = 0; i < 3; ++i) c[i] = load<1>(p.x + at + i * p.channel_stride) / p.full_range;
+}
+
+KV_HD void normals(PhiloxWords const& words, float (&n)[4]) {
+  for (int i = 0; i < 4; i += 2) {
+    Lanes<float, 1> cosine, sine;
+    normal_pair<1>(Lanes<int32_t, 1>(int32_t(words.w[i])), Lanes<int32_t, 1>(int32_t(words.w[i + 1])), cosine, sine);
+    n[i] = cosine, n[i + 1] = sine;
+  }
+}
+KV_HD void normals(PhiloxWords const& words, double (&n)[4]) { normals_of(words, n); }
+
+}  // namespace
+
+template <class T>
+void sum_lightness(IsoNoise<T> const& p, int64_t begin, int64_t end) {
+  using F = Compute<T>;
+  for (int64_t unit = begin; unit < end; ++unit) {
+    int64_t const b = unit / p.chunks, i = unit % p.chunks;
+    double sum = 0, squares = 0;
+    for (int64_t pixel = p.begin(i); pixel < p.end(i); ++pixel) {
+      F c[3];
+      read_color(p.noise, p.noise.offset(b, 0) + pixel * p.noise.step, c);
+      within_units(c);
+      double const lightness = Hls<F>(c).lightness;
+      sum += lightness, squares += lightness * lightness;
+    }
+    p.sums[2 * unit] = sum, p.sums[2 * unit + 1] = squares;
+  }
+}
+
+template <class T>
+void iso_noise(IsoNoise<T> const& p, int64_t begin, int64_t end) {
+  using F = Compute<T>;
+  PixelNoise<T> const& noise = p.noise;
+  for (int64_t unit = begin; unit < end; ++unit) {
+    int64_t const b = unit / p.chunks, i = unit % p.chunks, first = noise.offset(b, 0);
+    double sums[2] = {};
+    for (int64_t k = 0; k < 2 * p.chunks; ++k) sums[k % 2] += p.sums[2 * b * p.chunks + k];
+    F const* const parameters = noise.parameters + b * noise.parameter_stride;
+    IsoSample<F> const sample(parameters[0], parameters[1], sums[0], sums[1], double(noise.pixels));
+    float const* const maps = noise.uniform ? noise.uniform + 2 * b * noise.pixels : nullptr;
+    for (int64_t four = p.begin(i); four < p.end(i); four += 4) {
+      F u[4], n[4];
+      int const count = int(min(p.end(i) - four, int64_t(4)));
+      if (maps) {
+        for (int k = 0; k < count; ++k) u[k] = maps[four + k], n[k] = maps[noise.pixels + four + k];
+      } else {
+        PhiloxWords const words = noise.source(b).words(noise.draw, uint32_t(four / 4));
+        for (int k = 0; k < 4; ++k) u[k] = unit_of(words.w[k]);
+        normals(noise.source(b).words(noise.draw + 1, uint32_t(four / 4)), n);
+      }
+      for (int k = 0; k < count; ++k) {
+        int64_t const at = first + (four + k) * noise.step;
+        if (!noise.is_chosen(b)) {
+          for (int j = 0; j < 3; ++j) noise.y[at + j * noise.channel_stride] = noise.x[at + j * noise.channel_stride];
+          continue;
+        }
+        F c[3];
+        read_color(noise, at, c);
+        sample.change(
+            c, u[k], n[k], [](F exponent) { return F(__builtin_exp(exponent)); },
+            [](F square) { return F(__builtin_sqrt(square)); });
+        for (int j = 0; j < 3; ++j)
+          store<1>(noise.y + at + j * noise.channel_stride, Lanes<F, 1>(c[j] * noise.full_range));
+      }
+    }
+  }
+}
+
+KV_INSTANTIATE_WITH_BYTES(sum_lightness, IsoNoise)
+KV_INSTANTIATE_WITH_BYTES(iso_noise, IsoNoise)
+
+}  // namespace kv::augmentation::KV_ISA

@@ -1,0 +1,40 @@
+// Objects of masks that are dropped: every object has a random rank, and those of the highest ranks are dropped.
+// occlusion/objects.py of kvision.augmentation defines it. Included by objects_cpu.cpp, objects.cu and objects_op.cpp.
+#pragma once
+
+#include "core/isa.h"
+
+namespace kv::augmentation {
+
+// T is the type of masks, int64.
+template <class T>
+struct DropObjects {
+  T const *values, *components;  // (B, N, pixels); those of the regions of one mask a sample, or null
+  float const *words, *counts;   // (B,), whole numbers: the source of the ranks, and how many objects are dropped
+  uint8_t* y;                    // (B, pixels)
+  int64_t batch, masks, pixels;
+  int most;  // count that is obeyed
+
+  // The lowest 32 bits of a number as others, as `mixed_words` of draws.py.
+  static KV_HD uint32_t mixed(uint32_t x) {
+    x = (x ^ (x >> 16)) * 0x7FEB352Du;
+    x = (x ^ (x >> 15)) * 0x846CA68Bu;
+    return x ^ (x >> 16);
+  }
+  // The rank of element i of a sample, of `pixels` for each mask; -1 where there is no object.
+  KV_HD int64_t rank(int64_t b, int64_t i, uint32_t word) const {
+    T const value = values[b * masks * pixels + i];
+    if (value == 0) return -1;
+    uint32_t const object =
+        components ? uint32_t(components[b * pixels + i]) + mixed(uint32_t(value)) : uint32_t(i / pixels);
+    return mixed(object ^ word);
+  }
+  KV_HD int count(int64_t b) const { return int(min(counts[b], float(most))); }
+  KV_HD uint32_t word(int64_t b) const { return mixed(uint32_t(words[b])); }
+  // What stands for all ranks being below it.
+  static constexpr int64_t kNone = int64_t(1) << 32;
+};
+
+KV_KERNEL(drop_objects, DropObjects)
+
+}  // namespace kv::augmentation

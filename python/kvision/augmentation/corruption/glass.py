@@ -1,0 +1,110 @@
+"""Pixels that read random neighbors, as behind frosted glass."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from kvision._choices import Border
+from kvision._dtype import compute_dtype
+from kvision._ops import Operator, match_layout, register
+from kvision.augmentation.keys import flatten_draws
+from kvision.augmentation.noise import PixelNoise, words_of_pixels
+from kvision.augmentation.random_generator.base import Shape
+from kvision.augmentation.samples import where_chosen
+from kvision.filters.smoothing.gaussian import gaussian_blur2d
+
+MAX_DELTA = 2**15  # of kernels
+
+
+def _reference(
+    images: Tensor,
+    keys: Tensor,
+    seeds: Tensor | None,
+    uniform: Tensor | None,
+    plan: Sequence[int],
+    max_delta: int,
+    steps: int,
+) -> Tensor:
+    """Images whose pixels each read another one: it moves `steps` times, down and to the right, and stays in the image.
+
+    A move is from -max_delta to max_delta - 1, as in the benchmark of Hendrycks and Dietterich, by two numbers of each pixel and
+    step: the upper and the lower half of a word, or those of `uniform` (B, 2 steps, H, W) float32.
+    """
+    height, width = images.shape[-2:]
+    if uniform is None:
+        uniform = _halves(words_of_pixels(images, steps, keys, seeds, plan))
+    moves = ((uniform * (2 * max_delta)).long() - max_delta).flatten(2)
+    at = torch.arange(height * width, device=images.device).expand(len(images), -1)
+    for move in moves.split(2, 1):
+        along_y, along_x = move.gather(2, at[:, None].expand(-1, 2, -1)).unbind(1)
+        row, column = (at // width + along_y).clamp(0, height - 1), (at % width + along_x).clamp(0, width - 1)
+        at = row * width + column
+    y = images.flatten(2).gather(2, at[:, None].expand(-1, images.shape[1], -1)).view(images.shape)
+    return match_layout(y, images)
+
+
+def _halves(words: Tensor) -> Tensor:
+    """The upper and the lower halves of words (B, n, H, W), in [0, 1), float32 (B, 2 n, H, W)."""
+    words = words ^ 2**31
+    return torch.stack([words >> 16, words & 0xFFFF], 2).flatten(1, 2).float() / 2**16
+
+
+def _backward(needs: Sequence[bool], grad: Tensor, images: Tensor, *args: Any) -> list[Tensor | None]:
+    """Each pixel's gradient is added to that of the pixel which it reads: an image of positions tells where that is."""
+    batch, channels, height, width = images.shape
+    positions = torch.arange(height * width, device=grad.device, dtype=torch.float64).view(1, 1, height, width)
+    read: Tensor = read_neighbors(positions.expand(batch, -1, -1, -1), *args)
+    at, own = read.long().flatten(2).expand(-1, channels, -1), grad.to(compute_dtype(grad)).flatten(2)
+    total = torch.zeros_like(own).scatter_add(2, at, own).view(images.shape)
+    return [total.to(grad.dtype), None, None, None]
+
+
+def _supports(*args: Any) -> str | None:
+    """Pixels move by at most 32768, and images have at most 2^30 of them."""
+    images, max_delta = args[0], args[5]
+    if max_delta > MAX_DELTA or images.shape[2] * images.shape[3] > 2**30:
+        return f"there is no kernel for moves of {max_delta} pixels in images of {tuple(images.shape)}"
+    return None
+
+
+read_neighbors: Operator = register(
+    "read_neighbors", _reference, backward=_backward, bytes=True, supports=_supports, flatten=flatten_draws(keys=1)
+)
+
+
+class Moves(NamedTuple):
+    """A map like :class:`NoiseMap` of the numbers that move pixels, so many times."""
+
+    steps: int
+
+    def draw(self, noise: PixelNoise, shape: Shape, number: int) -> Tensor:
+        """The map with a number of its own among those of an augmentation, float32."""
+        u = noise.uniform((shape[0], self.steps, *shape[-2:]), number)
+        return _halves((u * 2**32).long() ^ 2**31)
+
+
+def glass(
+    x: Tensor, noise: PixelNoise | Tensor, sigma: float, max_delta: int, steps: int, border: Border = "reflect"
+) -> Tensor:
+    """Between two blurs, pixels read neighbors, by a source of noise or a uniform map."""
+    blur = ((2 * reach_of(sigma) + 1,) * 2, (sigma, sigma), border)
+    smooth = gaussian_blur2d(x, *blur)
+    if isinstance(noise, Tensor):
+        key = torch.zeros(1, dtype=torch.int64, device="cpu")
+        read = read_neighbors(smooth, key, None, noise.to(x.device, torch.float32), (0, 0, 1, 0), max_delta, steps)
+    else:
+        keys, seeds, chosen, plan = noise.arguments()
+        read = read_neighbors(smooth, keys, seeds, None, plan, max_delta, steps)
+        if chosen is not None:
+            return where_chosen(chosen != 0, gaussian_blur2d(read, *blur), x)
+    y: Tensor = gaussian_blur2d(read, *blur)
+    return y
+
+
+def reach_of(sigma: float) -> int:
+    """Taps of a Gaussian to each side, up to four standard deviations."""
+    return int(4 * sigma + 0.5)

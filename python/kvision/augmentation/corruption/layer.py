@@ -1,0 +1,48 @@
+"""Images behind a layer: fog, frost, drops and stains."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from kvision._clamp import clamp
+from kvision._constants import constant
+from kvision._dtype import compute_dtype
+from kvision._ops import match_layout, register
+
+
+def _reference(images: Tensor, layer: Tensor, windows: Tensor | None, factors: Tensor) -> Tensor:
+    """`x (a + b m) + c m + d` of images x, clamped to [0, 1] before and after, where m is the layer (B, C or 1, H, W).
+
+    Factors (B or 1, C or 1, 4) are a, b, c and d. Windows (B, 3) int64 are where each sample has its layer, of any number and
+    size: the index of the layer, and its first row and column.
+    """
+    is_bytes = images.dtype == torch.uint8
+    x = images.float() / 255 if is_bytes else images.to(compute_dtype(images))
+    if windows is not None:
+        layer = _cut(layer, windows, images.shape[-2:])
+    a, b, c, d = factors[..., None, None].unbind(2)
+    y = clamp(clamp(x, 0, 1) * (a + b * layer) + (c * layer + d), 0, 1)
+    return match_layout((255 * y).round().to(torch.uint8) if is_bytes else y.to(images.dtype), images)
+
+
+def _cut(layers: Tensor, windows: Tensor, size: Sequence[int]) -> Tensor:
+    """The windows of layers of a size."""
+    (height, width), (count, _, tall, wide) = size, layers.shape
+    index, top, left = windows[:, :, None, None].unbind(1)
+    rows = top.clamp(0, tall - height) + torch.arange(height, device=layers.device)[:, None]
+    columns = left.clamp(0, wide - width) + torch.arange(width, device=layers.device)
+    return layers[index.clamp(0, count - 1), :, rows, columns].movedim(-1, 1)
+
+
+add_layer = register("add_layer", _reference, bytes=True, casts_outputs=True)
+
+
+def behind(x: Tensor, layer: Tensor, *factors: Tensor | float, windows: Tensor | None = None) -> Tensor:
+    """Images behind a layer, by the factors a, b, c and d: numbers, or (B or 1, C or 1)."""
+    own = compute_dtype(x)
+    each = [f.to(own) if isinstance(f, Tensor) else constant(((f,),), layer, own) for f in factors]
+    y: Tensor = add_layer(x, layer.to(own), windows, torch.stack(torch.broadcast_tensors(*each), -1))
+    return y

@@ -1,0 +1,63 @@
+"""Images behind a layer."""
+
+import pytest
+import torch
+from torch import Tensor
+
+from kvision.augmentation.corruption.layer import add_layer
+from op_tests import OpTests, assert_close
+
+
+def factors(x: Tensor) -> Tensor:
+    """(B, 1, 4), whose results leave [0, 1] on both sides."""
+    return torch.rand(x.shape[0], 1, 4) * torch.tensor([1.2, 0.7, -0.9, 0.4]) + torch.tensor([0.3, -0.2, 0.3, -0.1])
+
+
+class TestAddLayer(OpTests):
+    operators = ("add_layer",)
+    bytes = True
+    variants = [
+        {"layer": lambda x: torch.rand(x.shape[0], 1, *x.shape[2:]), "factors": factors},
+        {"layer": lambda x: torch.rand(1, *x.shape[1:]), "factors": lambda x: torch.rand(1, x.shape[1], 4)},
+    ]
+    mixed = ("layer", "factors", "images")
+    tolerances = {torch.uint8: (0, 1)}  # sums in another order round to the other byte
+
+    @staticmethod
+    def function(x: Tensor, layer: Tensor, factors: Tensor) -> Tensor:
+        x = x if x.is_floating_point() or x.dtype == torch.uint8 else x.float()
+        own = torch.float64 if x.dtype == torch.float64 else torch.float32
+        return add_layer(x, layer.to(own), None, factors.to(own))
+
+    def test_wrong_kinds(self, variant, device):
+        pytest.skip("the classes that call the operator check its input")
+
+
+@pytest.mark.parametrize("layout", [torch.contiguous_format, torch.channels_last], ids=str)
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64, torch.float16, torch.uint8], ids=str)
+def test_windows_of_layers(dtype, layout, device):
+    """Each sample has a window of one of the layers; those that leave it end at its border."""
+    own = torch.float64 if dtype == torch.float64 else torch.float32
+    x = torch.rand(4, 3, 20, 36).to(memory_format=layout)
+    x = (255 * x).to(dtype) if dtype == torch.uint8 else x.to(dtype)
+    layers, numbers = torch.rand(3, 3, 31, 40, dtype=own), torch.rand(4, 3, 4, dtype=own) / 4
+    windows = torch.tensor([[0, 0, 0], [2, 11, 4], [1, 5, 3], [7, 12, -1]])
+    y = add_layer(x.to(device), layers.to(device), windows.to(device), numbers.to(device)).cpu()
+    assert y.is_contiguous(memory_format=layout)
+    for b, (n, top, left) in enumerate([(0, 0, 0), (2, 11, 4), (1, 5, 3), (2, 11, 0)]):
+        m = layers[n : n + 1, :, top : top + 20, left : left + 36]
+        a, of_layer, added, offset = numbers[b, :, :, None, None].unbind(1)
+        most = 255 if dtype == torch.uint8 else 1
+        expected = most * ((x[b].to(own) / most) * (a + of_layer * m) + added * m + offset).clamp(0, 1)
+        assert_close(
+            y[b : b + 1].to(own),
+            expected,
+            0,
+            0.51 if dtype == torch.uint8 else 1e-3 if dtype == torch.float16 else 1e-6,
+        )
+
+
+def test_what_is_clamped(device):
+    x = torch.tensor([-1.0, 0.5, 2.0, float("nan")], device=device)[None, None, None]
+    y = add_layer(x, torch.ones_like(x), None, torch.tensor([[[0.5, 0.5, -0.25, 0.5]]], device=device))
+    assert_close(y.flatten().cpu(), torch.tensor([0.25, 0.75, 1.0, float("nan")]))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -249,3 +250,26 @@ def test_adjustments_that_change_nothing_leave_the_program(missing: str, same: s
         assert torch.equal(call(x, params=call._params), y)
     full(source, seed=4)
     torch.testing.assert_close(jitter(source, params=full._params), full(source, params=full._params))
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda r: A.Downscale(r),
+        lambda r: A.RandomScale(r),
+        lambda r: A.CoarseDropout((1, 2), r, (0.1, 0.2)),
+        lambda r: A.CoarseDropout((1, 2), (0.1, 0.2), r),
+        lambda r: A.RandomErasing(r),
+        lambda r: A.RandomErasing((0.1, 0.2), r),
+        lambda r: A.RandomResizedCrop((4, 4), r),
+        lambda r: A.RandomResizedCrop((4, 4), (0.1, 0.2), r),
+    ],
+)
+def test_ranges_whose_draws_are_rounded_refuse_to_be_learned(make: Callable[[object], object]) -> None:
+    """Their gradients would be 0. What they are made of is taken."""
+    values = torch.tensor([0.2, 0.8])
+    for learned in (torch.nn.Parameter(values), values.clone().requires_grad_()):
+        with pytest.raises(TypeError, match=r"requires a gradient, which it would not get; pass \w+\.detach\(\)"):
+            make(learned)
+    make(values)
+    make(torch.nn.Parameter(values, requires_grad=False))

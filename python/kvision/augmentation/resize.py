@@ -217,6 +217,7 @@ class RandomScale(GeometricAugmentationBase2D):
     ) -> None:
         super().__init__(p=1.0, p_batch=p, keepdim=keepdim, **options)
         op = "RandomScale"
+        scale_range = ranges.without_gradient(op, "scale_range", scale_range)
         self._param_generator = PlainUniformGenerator((scale_range, "scale", None, (1e-6, float("inf"))), op=op)
         self.flags = {
             "resample": Resample.get(resample),

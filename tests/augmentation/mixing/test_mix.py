@@ -385,3 +385,17 @@ def test_transplantation_in_containers(name: str, nested: bool, device: torch.de
         augment(images, data_keys=["input"])
     with pytest.raises(NotImplementedError, match=f"{name}: labels cannot be mixed"):
         augment(images, masks, torch.arange(8), data_keys=["input", "mask", "class"])
+
+
+@pytest.mark.parametrize("mix", [A.RandomCutMixV2, A.RandomMixUpV2], ids=lambda mix: mix.__name__)
+def test_labels_of_mixes_that_never_apply_have_the_shape_of_mixed_ones(mix, device):
+    """Alone, in containers and between other children: those of p above 0, with the image as its own partner."""
+    x, labels = torch.rand(4, 3, 8, 8, device=device), torch.arange(4, device=device)
+    keys = ["input", "class"]
+    alone = mix(p=0.0, data_keys=keys)(x, labels)
+    for children in ([], [A.RandomHorizontalFlip(p=0.0)], [A.ColorJitter(p=0.0)]):
+        container = A.AugmentationSequential(*children, mix(p=0.0, data_keys=keys), *children, data_keys=keys)
+        for y, mixed in (container(x, labels), container(x, labels, params=container._params)):
+            assert torch.equal(y, x) and torch.equal(mixed, alone[1])
+    shape = mix(p=1.0, data_keys=keys)(x, labels)[1].shape
+    assert alone[1].shape == shape and torch.equal(alone[1][..., 0].flatten().long(), labels)

@@ -217,7 +217,7 @@ class _Planner:
         self.parts: list[ColorPart] = []
 
     def add(self, number: int, module: Executor, execution: Execution) -> None:
-        if not execution.applied:
+        if not execution.applied and not module.mixes_samples:  # what mixes gives labels the shape of mixed ones
             return
         shape, columns = execution.shape, execution.columns
         span = None if columns is None else columns.span

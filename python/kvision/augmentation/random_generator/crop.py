@@ -179,6 +179,7 @@ class ResizedCropGenerator(WindowGeneratorBase):
         super().__init__()
         op = "RandomResizedCrop"
         self.output_size = parse_size(op, output_size)
+        scale, ratio = ranges.without_gradient(op, "scale", scale), ranges.without_gradient(op, "ratio", ratio)
         self.scale = ranges.parse(op, "scale", scale, bounds=(0.0, float("inf")))
         self.ratio = ranges.parse(op, "ratio", ratio, bounds=(0.0, float("inf")))
         if self.ratio.low <= 0:

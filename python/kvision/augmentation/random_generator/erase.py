@@ -43,6 +43,7 @@ class RectangleEraseGenerator(RandomGeneratorBase):
     def __init__(self, scale: Numbers = (0.02, 0.33), ratio: Numbers = (0.3, 3.3), value: Any = 0.0) -> None:
         super().__init__()
         op, unbounded = "RandomErasing", (0.0, float("inf"))
+        scale, ratio = ranges.without_gradient(op, "scale", scale), ranges.without_gradient(op, "ratio", ratio)
         self._scale = ranges.parse(op, "scale", scale, bounds=unbounded)
         self._ratio = ranges.parse(op, "ratio", ratio, bounds=(1e-6, float("inf")))
         self.value = ranges.fill_value(op, "value", value)

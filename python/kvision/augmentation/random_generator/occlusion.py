@@ -38,7 +38,7 @@ class Lengths(NamedTuple):
     @classmethod
     def parse(cls, op: str, name: str, value: Any) -> Lengths:
         """A pair of ints is pixels; one of other numbers, within 0 and 1, is fractions."""
-        value = _check.scalars(op, name, value)
+        value = _check.scalars(op, name, ranges.without_gradient(op, name, value))
         if isinstance(value, (tuple, list)) and all(_check.is_int(n) for n in value):
             return cls(*ranges.parse_integers(op, name, value, 0), True)
         fractions = ranges.parse(op, name, value, bounds=(0.0, 1.0))

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from kvision.geometry.liegroup import Se3, Sim3, So3
 from kvision.geometry.optim import LeastSquaresResult, ReprojectionError, least_squares
-from kvision.geometry.optim._variables import moving_tensors, retracted, velocities
+from kvision.geometry.optim._variables import moving_tensors, retracted, tensors_of, velocities
 
 F64 = torch.float64
 
@@ -211,6 +211,37 @@ def test_problems_do_not_see_each_other(device: torch.device) -> None:
     assert align(Se3, source[:0], target[:0]).cost.shape == (0,)
     nothing = align(Se3, source[:, :0], source[:, :0])
     assert nothing.converged.all() and nothing.covariance().isnan().all()
+
+
+@pytest.mark.parametrize("path", ["dense", "poses"])
+@pytest.mark.parametrize("gradient", ["implicit", "unrolled", "none"])
+def test_problems_with_weights_that_are_no_weights_are_not_solved(path, gradient, device):
+    """NaN and numbers below 0 make their problem NaN; the others are solved as they are alone."""
+    if path == "dense":
+        y = torch.arange(12.0, dtype=F64, device=device).view(3, 4)
+        start: Any = {"x": torch.zeros(3, 1, dtype=F64, device=device)}
+        call = lambda weights: least_squares(  # noqa: E731
+            lambda v: v["x"] - y, start, weights=weights, gradient=gradient
+        )
+        count = 4
+    else:
+        points = torch.rand(3, 9, 3, dtype=F64, device=device) + torch.tensor([0.0, 0.0, 3.0], device=device)
+        camera = torch.eye(3, dtype=F64, device=device)
+        pixels = points[..., :2] / points[..., 2:] + 0.01 * torch.rand(3, 9, 2, dtype=F64, device=device)
+        pose = Se3.exp(torch.zeros(3, 6, dtype=F64, device=device))
+        error, start = ReprojectionError(pixels, camera, points), {"pose": pose}
+        call = lambda weights: least_squares(error, start, weights=weights, gradient=gradient)  # noqa: E731
+        count = 9
+    weights = torch.ones(3, count, dtype=F64, device=device)
+    good = call(weights)
+    weights[0, 1], weights[2, 2] = torch.nan, -1.0
+    fit = call(weights)
+    for name, x in fit.variables.items():
+        of_good = good.variables[name]
+        for t, expected in zip(tensors_of(x), tensors_of(of_good)):
+            assert t[[0, 2]].isnan().all() and torch.equal(t[1], expected[1]), name
+    assert fit.cost[[0, 2]].isnan().all() and fit.cost[1] == good.cost[1]
+    assert fit.converged.tolist() == [False, bool(good.converged[1]), False]
 
 
 def test_covariance_is_that_of_linear_regression(device: torch.device) -> None:

@@ -31,7 +31,7 @@ class LeastSquaresResult:
     """What :func:`least_squares` returns for B problems.
 
     Attributes:
-        variables: the solutions, by name; NaN where the residuals of the start are not finite.
+        variables: the solutions, by name; NaN where the residuals of the start are not finite, or a weight is below 0 or NaN.
         cost: 1/2 the sum of weight * rho(|r|^2), (B,).
         converged: whether a tolerance was reached, bool (B,).
         iterations: the number of steps that were tried, int64 (B,).
@@ -97,7 +97,8 @@ def least_squares(
         residuals: a torch function of a dictionary of variables, which returns blocks (B, N, n), or (B, N) for blocks of one
             number. Those of a problem depend on the variables of this problem alone.
         variables: the start by name: tensors (B, *), So3, Se3 or Sim3 (B, *), of float32 or float64.
-        weights: of the blocks, at least 0, (B, N). Blocks of weight 0 do not count, whatever their residuals.
+        weights: of the blocks, at least 0, (B, N). Blocks of weight 0 do not count, whatever their residuals. A problem with a
+            weight below 0 or NaN has no solution.
         loss: the robust kernel rho(s) of the squared norm s of a block: "linear", "huber", "soft_l1", "cauchy", "arctan",
             "geman_mcclure", "welsch" or "tukey", or an elementwise torch function with rho'(0) = 1.
         f_scale: the norm C of a block at which a robust kernel sets in: C^2 rho(s / C^2).
@@ -151,6 +152,9 @@ def least_squares(
         _check.shape(op, "weights", weights, "B", "N")
     problem = Problem(op, residuals, layout, weights, rho, jacobian)
     start = {name: _broadcast(x) for name, x in variables.items()}
+    if weights is not None:
+        is_valid = (weights.detach() >= 0).all(1)
+        start = {name: _where(is_valid, x) for name, x in start.items()}
     solver = Solver(problem, assembly, method == "levenberg-marquardt", max_iterations, *tolerances)
     if gradient == "unrolled":
         solution, cost, converged, iterations = solver.solve(start)
@@ -181,6 +185,14 @@ def _broadcast(x: Any) -> Any:
     axes = [0 if i == 2 else 1 for i in range(len(tensors_of(x)))]
     leading = torch.broadcast_shapes(*(t.shape[: t.dim() - n] for t, n in zip(tensors_of(x), axes)))
     return value_like(x, tuple(t.expand(*leading, *t.shape[t.dim() - n :]) for t, n in zip(tensors_of(x), axes)))
+
+
+def _where(is_valid: Tensor, x: Any) -> Any:
+    """A variable with NaN in problems that are not valid (B,)."""
+    tensors = tensors_of(x)
+    if is_valid.shape[0] != tensors[0].shape[0]:
+        return x  # which the problem refuses
+    return value_like(x, tuple(torch.where(is_valid.view(-1, *[1] * (t.dim() - 1)), t, torch.nan) for t in tensors))
 
 
 def _information(problem: Problem, assembly: Assembly, variables: Variables) -> tuple[Tensor, Tensor]:

@@ -1,12 +1,11 @@
 // Antialiased sampling on CUDA; antialiased.cuh has the order of the work. Taps are read from global memory by way of
 // the L1.
-#include "geometry/transform/antialiased/antialiased.cuh"
-#include "geometry/transform/source_tile.cuh"
+#include <cstdlib>
+
+#include "geometry/transform/antialiased/covered_parts.cuh"
 
 namespace kv::geometry::cuda {
 namespace {
-
-constexpr int kChannelsTogether = 3;
 
 // The taps of a pixel that are not all in bounds, or not all finite: one of weight 0 contributes nothing.
 template <int Across, int N, class T, class F>
@@ -25,17 +24,15 @@ __device__ __noinline__ void add_carefully(Sample<T> const& p, Tile<F> const& ti
   });
 }
 
-template <class T>
-__global__ void __launch_bounds__(kThreads, sizeof(T) == 8 ? 2 : 4)
-    sample_covered(__grid_constant__ Sample<T> const p, TileGrid tiles) {
-  using F = Compute<T>;
-  __shared__ Tile<F> tile;
-  tile.init_for_block(tiles, p);
+// A tile without a source tile: maps, strong shrinking. Rows are divided among blocks.
+template <class T, class F>
+__device__ __noinline__ void sample_unstaged(Sample<T> const& p, Tile<F> const& tile, int split, int splits) {
   int const width = int(p.y.width), height = int(p.y.height), lane = threadIdx.x % 32, x = tile.x + lane;
   TilePixels<F> const pixels(p.coords, tile);
   int const row_stride = int(p.x.row_stride), step = int(p.x.step);
 #pragma unroll 1
-  for (int y = tile.y + int(threadIdx.x) / 32; y < min(tile.y + kTile, height); y += kThreads / 32) {
+  for (int y = tile.y + int(threadIdx.x) / 32 + split * (kThreads / 32); y < min(tile.y + kTile, height);
+       y += splits * (kThreads / 32)) {
     CoveredPixel<F> const own = pixels.at(p, y, min(x, width - 1));
     bool const inside = __all_sync(kAllLanes, own.inside);
     dispatch_across(own, [&](auto threads) {
@@ -84,11 +81,78 @@ __global__ void __launch_bounds__(kThreads, sizeof(T) == 8 ? 2 : 4)
   }
 }
 
+template <class T>
+__global__ void __launch_bounds__(kThreads, sizeof(T) == 8 ? 2 : 4)
+    sample_covered(__grid_constant__ Sample<T> const p, TileGrid tiles) {
+  __shared__ Tile<Compute<T>> tile;
+  tile.init_for_block(tiles, p);
+  sample_unstaged(p, tile, 0, 1);
+}
+
+template <class T, int Pitch, int Rows, int Blocks, bool Skips = true>
+__global__ void __launch_bounds__(kThreads, Blocks)
+    sample_by_parts(__grid_constant__ Sample<T> const p, TileGrid tiles, bool aligned) {
+  using F = Compute<T>;
+  __shared__ Tile<F> tile;
+  __shared__ PartPlan<F> plan;
+  extern __shared__ __align__(16) unsigned char memory[];
+  if (threadIdx.x < 32) {
+    Tile<F> own;
+    PartPlan<F> own_plan;
+    own.init(tiles, p.coords);
+    own.image = p.image_of(own.b);
+    own_plan.init(own, int(p.y.width), int(p.y.height), Pitch, Rows);
+    if (!Skips) own_plan.limit_x = own_plan.limit_y = F(1e9);
+    if (threadIdx.x == 0) {
+      tile = own;
+      plan = own_plan;
+    }
+  }
+  __syncthreads();
+  if (plan.fits)
+    sample_parts<Pitch, Rows>(p, tile, plan, aligned, int(blockIdx.y), int(gridDim.y), reinterpret_cast<F*>(memory));
+  else
+    sample_unstaged(p, tile, int(blockIdx.y), int(gridDim.y));
+}
+
 }  // namespace
 
 template <class T>
 int sample_antialiased(Sample<T> const& p, CUstream_st* stream) {
   TileGrid const tiles(p.y.batch, p.y.height, p.y.width, 1);
+  if constexpr (sizeof(T) < 8) {
+    char const* const text = std::getenv("KV_VARIANT");
+    int const variant = text ? std::atoi(text) : 0;
+    if (!p.coords.has_map() && variant < 100) {
+      int64_t const vector = 4 * int64_t(sizeof(T));
+      bool const aligned = reinterpret_cast<uintptr_t>(p.x.data) % vector == 0 && p.x.step == 1 &&
+                           (p.x.row_stride | p.x.channel_stride | p.x.batch_stride) % 4 == 0;
+      int64_t const ratio = p.x.height * p.x.width / (p.y.height * p.y.width);
+      unsigned const splits = ratio >= 12 ? 8 : ratio >= 3 ? 2 : 1;
+      auto const launch = [&](auto kernel, int pitch, int rows, unsigned splits) -> int {
+        int const bytes = (p.x.channels >= kChannelsTogether ? kChannelsTogether : 1) * pitch * rows * 4;
+        if (int const error = cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, bytes))
+          return error;
+        kernel<<<dim3(tiles.blocks, splits), kThreads, bytes, stream>>>(p, tiles, aligned);
+        return cudaGetLastError();
+      };
+      if constexpr (__is_same(T, float)) {
+        switch (variant) {
+          case 1:
+            return launch(sample_by_parts<T, 96, 60, 3>, 96, 60, splits);
+          case 2:
+            return launch(sample_by_parts<T, 64, 96, 3>, 64, 96, splits);
+          case 4:
+            return launch(sample_by_parts<T, 64, 52, 4>, 64, 52, 1);
+          case 5:
+            return launch(sample_by_parts<T, 64, 52, 4, false>, 64, 52, splits);
+          case 6:
+            return launch(sample_by_parts<T, 96, 92, 2>, 96, 92, splits);
+        }
+      }
+      return launch(sample_by_parts<T, 64, 52, 4>, 64, 52, splits);
+    }
+  }
   sample_covered<T><<<tiles.blocks, kThreads, 0, stream>>>(p, tiles);
   return cudaGetLastError();
 }

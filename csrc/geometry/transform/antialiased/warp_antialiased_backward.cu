@@ -1,17 +1,27 @@
 // The gradients of antialiased sampling on CUDA: atomic additions to the images, sums to matrices, one number for each
 // coordinate of maps.
+#include <cstdlib>
+
 #include "core/block_reduce.cuh"
-#include "geometry/transform/antialiased/antialiased.cuh"
-#include "geometry/transform/source_tile.cuh"
+#include "geometry/transform/antialiased/gather_covered.cuh"
 
 namespace kv::geometry::cuda {
 namespace {
 
 template <class T>
 __global__ void __launch_bounds__(kThreads)
-    scatter_covered(__grid_constant__ SampleImageBackward<T> const p, TileGrid tiles) {
+    scatter_covered(__grid_constant__ SampleImageBackward<T> const p, TileGrid tiles, bool some_gather) {
   using F = Compute<T>;
   __shared__ Tile<F> tile;
+  if (some_gather) {
+    __shared__ bool gathers;
+    if (threadIdx.x == 0) {
+      tile.locate(tiles, 0);
+      gathers = GatherShape<F>(homography(p.coords.matrices + tile.b * p.coords.matrix_stride, p.coords.use)).gathers;
+    }
+    __syncthreads();
+    if (gathers) return;
+  }
   tile.init_for_block(tiles, p);
   int const width = int(p.grad.width), height = int(p.grad.height), x = tile.x + int(threadIdx.x) % 32;
   int64_t const source = p.grad_x.width, plane = p.grad_x.height * source;
@@ -135,11 +145,22 @@ __global__ void __launch_bounds__(kThreads) add_differences(__grid_constant__ Ma
 
 template <class T>
 int sample_antialiased_image_backward(SampleImageBackward<T> const& p, CUstream_st* stream) {
-  int64_t const count = p.grad_x.batch * p.grad_x.channels * p.grad_x.height * p.grad_x.width;
-  cudaError_t const error = cudaMemsetAsync(p.sums, 0, size_t(count) * sizeof(Compute<T>), stream);
-  if (error != cudaSuccess) return error;
+  using F = Compute<T>;
+  char const* const text = std::getenv("KV_VARIANT");
   TileGrid const tiles(p.grad.batch, p.grad.height, p.grad.width, 1);
-  if (tiles.blocks > 0) scatter_covered<T><<<tiles.blocks, kThreads, 0, stream>>>(p, tiles);
+  bool const gathers = !p.coords.has_map() && p.x_axis.padding == Padding::fill && p.is_one_sample_per_image() &&
+                       !(text && std::atoi(text) >= 100);
+  if (gathers) {
+    TileGrid const sources(p.grad_x.batch, p.grad_x.height, p.grad_x.width, 1);
+    int const together = sizeof(T) == 8 || p.grad_x.channels < 3 ? 1 : 3;
+    int const bytes = together * GatherShape<F>::kColumns * GatherShape<F>::kRows * int(sizeof(F));
+    gather_covered<T><<<sources.blocks, kThreads, bytes, stream>>>(p, sources);
+  } else {
+    int64_t const count = p.grad_x.batch * p.grad_x.channels * p.grad_x.height * p.grad_x.width;
+    cudaError_t const error = cudaMemsetAsync(p.sums, 0, size_t(count) * sizeof(F), stream);
+    if (error != cudaSuccess) return error;
+  }
+  if (tiles.blocks > 0) scatter_covered<T><<<tiles.blocks, kThreads, 0, stream>>>(p, tiles, gathers);
   return cudaGetLastError();
 }
 

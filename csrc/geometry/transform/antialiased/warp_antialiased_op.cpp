@@ -34,9 +34,7 @@ Tensor sampled_antialiased(Tensor const& image, SamplingOptions const& a, Size s
 }
 
 template <class Coords>
-Tensor antialiased_image_gradient(Tensor const& grad_output, BatchSize const& batch, SamplingOptions const& a,
-                                  Coords coords) {
-  Tensor const grad = with_rows(grad_output);
+Tensor antialiased_image_gradient(Tensor const& grad, BatchSize const& batch, SamplingOptions const& a, Coords coords) {
   int64_t const channels = grad.size(1);
   return image_gradient(
       a.op, grad, batch, false, [&](auto type, Tensor const& from, Tensor const& to, Tensor const& sums) {

@@ -1,0 +1,286 @@
+// The gradient of the image of antialiased warps on CUDA, by gathering: a pixel of the source reads the gradients of
+// all output pixels that cover it. It serves affine maps with fill padding, one sample an image; for an affine map the
+// output pixels around a source pixel are as many everywhere. Included by warp_antialiased_backward.cu.
+//
+// A block takes a tile of the source. The gradients of the output pixels that may cover its pixels are stored in shared
+// memory, divided by the sum of their weights. A thread has two source pixels, one below the other.
+#pragma once
+
+#include "geometry/transform/antialiased/antialiased.cuh"
+#include "geometry/transform/source_tile.cuh"
+
+namespace kv::geometry::cuda {
+namespace {
+
+constexpr int kGatherRows = 2;  // of a thread at a time
+
+// The output pixels around source pixels, of all tiles of a sample.
+template <class F>
+struct GatherShape {
+  static constexpr int kColumns = 53, kRows = 53;  // of a tile's output pixels; banks of a column differ
+
+  Footprint<F> footprint;
+  F m[4], back[4];     // derivatives of source coordinates by those of the output, and back
+  F reach_x, reach_y;  // from the middle of a thread's pixels
+  int columns, rows;   // from there on
+  bool gathers;        // whether a tile's fit
+
+  __device__ __forceinline__ explicit GatherShape(Homography<double> const& map) {
+    for (int i = 0; i < 4; ++i) m[i] = F(map.m[i + i / 2]);
+    footprint = geometry::footprint(Jacobian<F>{m[0], m[1], m[2], m[3]});
+    F const det = m[0] * m[3] - m[1] * m[2], scale = 1 / det;
+    back[0] = m[3] * scale;
+    back[1] = -m[1] * scale;
+    back[2] = -m[2] * scale;
+    back[3] = m[0] * scale;
+    // Distances in the source of (x, y) cover q = S^-1 (x, y) in (-1, 1)^2, of all pixels of the thread.
+    Footprint<F> const& f = footprint;
+    F const to_x = 1 + vabs(f.xy) * F(kGatherRows - 1) / 2, to_y = 1 + f.yy * F(kGatherRows - 1) / 2;
+    F const area = 1 / (f.xx * f.yy - f.xy * f.xy);  // S is [[yy, -xy], [-xy, xx]] times that
+    F const per_qx[] = {(back[0] * f.yy - back[1] * f.xy) * area, (back[2] * f.yy - back[3] * f.xy) * area};
+    F const per_qy[] = {(back[1] * f.xx - back[0] * f.xy) * area, (back[3] * f.xx - back[2] * f.xy) * area};
+    reach_x = vabs(per_qx[0]) * to_x + vabs(per_qy[0]) * to_y;
+    reach_y = vabs(per_qx[1]) * to_x + vabs(per_qy[1]) * to_y;
+    constexpr F kLess = F(1 - 2e-6), kSpan = F(kTile - 1);
+    F const more = max(reach_x, reach_y);
+    gathers = map.affine && vabs(det) > F(1e-4) && more < F(kColumns);
+    columns = rows = 0;
+    if (!gathers) return;
+    columns = -floor_to_int<F>(-2 * reach_x * kLess);
+    rows = -floor_to_int<F>(-2 * reach_y * kLess);
+    gathers = (vabs(back[0]) + vabs(back[1])) * kSpan + F(columns + 4) <= F(kColumns) &&
+              (vabs(back[2]) + vabs(back[3])) * kSpan + F(rows + 4) <= F(kRows) && f.reach_x < F(kMaxReach - 1) &&
+              f.reach_y < F(kMaxReach - 1);
+  }
+};
+
+// A tile of the source, in shared memory.
+template <class F>
+struct CoveredGather {
+  GatherShape<F> shape;
+  int64_t b, image;
+  int x, y;       // its first pixel
+  int left, top;  // of its output pixels
+  int columns, rows;
+  F from_x, from_y;  // the source coordinates of output pixel (left, top), counted from (x, y)
+  F to_x, to_y;      // the output coordinates of source pixel (x, y), counted from (left, top)
+
+  template <class T>
+  __device__ __forceinline__ CoveredGather(Tile<F> const& tile, Homography<double> const& map,
+                                           SampleImageBackward<T> const& p)
+      : shape(map), b(tile.b), image(p.image_of(tile.b)), x(tile.x), y(tile.y) {
+    left = top = columns = rows = 0;
+    if (!shape.gathers) return;
+    double const(&m)[9] = map.m;
+    double const scale = 1 / (m[0] * m[4] - m[1] * m[3]), du = double(x) - m[2], dv = double(y) - m[5];
+    double const at_x = (m[4] * du - m[1] * dv) * scale, at_y = (m[0] * dv - m[3] * du) * scale;
+    // Far from the output no pixel covers the tile.
+    bool const near =
+        at_x > -1e4 && at_x < double(p.grad.width) + 1e4 && at_y > -1e4 && at_y < double(p.grad.height) + 1e4;
+    if (!near) return;
+    F const(&by)[4] = shape.back;
+    F const last = F(kTile - 1), half = F(kGatherRows - 1) / 2;
+    F const low_x = min(by[0] * last, F(0)) + min(by[1] * half, by[1] * (last - half));
+    F const low_y = min(by[2] * last, F(0)) + min(by[3] * half, by[3] * (last - half));
+    F const high_x = max(by[0] * last, F(0)) + max(by[1] * half, by[1] * (last - half));
+    F const high_y = max(by[2] * last, F(0)) + max(by[3] * half, by[3] * (last - half));
+    left = int(floor(at_x + double(low_x - shape.reach_x)));
+    top = int(floor(at_y + double(low_y - shape.reach_y)));
+    columns = min(int(floor(at_x + double(high_x - shape.reach_x))) + shape.columns + 2 - left, int(shape.kColumns));
+    rows = min(int(floor(at_y + double(high_y - shape.reach_y))) + shape.rows + 2 - top, int(shape.kRows));
+    to_x = F(at_x - left);
+    to_y = F(at_y - top);
+    from_x = F(m[0] * left + m[1] * top - du);
+    from_y = F(m[3] * left + m[4] * top - dv);
+  }
+  // Whether an output pixel may cover a pixel of the tile.
+  __device__ __forceinline__ bool is_covered(int width, int height) const {
+    return columns > 0 && left < width && top < height && left + columns > 0 && top + rows > 0;
+  }
+
+  // The sum of weights of an output pixel whose source coordinates have these fractions.
+  __device__ __forceinline__ F weight_of_all(F u, F v) const {
+    Footprint<F> const& f = shape.footprint;
+    F const first_x = F(floor_to_int<F>(u - f.reach_x) + 1) - u, first_y = F(floor_to_int<F>(v - f.reach_y) + 1) - v;
+    int const taps_x = -floor_to_int<F>(-2 * f.reach_x), taps_y = -floor_to_int<F>(-2 * f.reach_y);
+    if (f.xy == 0) {
+      F across = 0, down = 0;
+#pragma unroll 1
+      for (int i = 0; i < taps_x; ++i) across += vsaturate(1 - vabs(f.xx * (first_x + F(i))));
+#pragma unroll 1
+      for (int i = 0; i < taps_y; ++i) down += vsaturate(1 - vabs(f.yy * (first_y + F(i))));
+      return across * down;
+    }
+    F total = 0;
+#pragma unroll 1
+    for (int j = 0; j < taps_y; ++j) {
+      F const dy = first_y + F(j);
+      F qx = f.xx * first_x + f.xy * dy, qy = f.xy * first_x + f.yy * dy;
+#pragma unroll 2
+      for (int i = 0; i < taps_x; ++i) {
+        total += vsaturate(1 - vabs(qx)) * vsaturate(1 - vabs(qy));
+        qx += f.xx;
+        qy += f.xy;
+      }
+    }
+    return total;
+  }
+  // Stores the gradients of N channels over the sums of weights.
+  template <int N, class T>
+  __device__ __forceinline__ void load(SampleImageBackward<T> const& p, int first, F* memory) const {
+    constexpr int kPitch = GatherShape<F>::kColumns, kPlane = kPitch * GatherShape<F>::kRows;
+    int const width = int(p.grad.width), height = int(p.grad.height);
+    T const* const grad = p.grad.row(b, first, 0);
+#pragma unroll 1
+    for (int row = threadIdx.x / 32; row < rows; row += kThreads / 32)
+#pragma unroll 1
+      for (int column = threadIdx.x % 32; column < columns; column += 32) {
+        int const at_x = left + column, at_y = top + row;
+        F* const to = memory + row * kPitch + column;
+        if (unsigned(at_x) < unsigned(width) && unsigned(at_y) < unsigned(height)) {
+          T const* const from = grad + at_y * p.grad.row_stride + at_x * p.grad.step;
+          F g[N];
+#pragma unroll
+          for (int k = 0; k < N; ++k) g[k] = F(read(from[k * p.grad.channel_stride]));
+          F const u = from_x + (shape.m[0] * F(column) + shape.m[1] * F(row));
+          F const v = from_y + (shape.m[2] * F(column) + shape.m[3] * F(row));
+          F const scale = 1 / weight_of_all(u, v);
+#pragma unroll
+          for (int k = 0; k < N; ++k) to[k * kPlane] = g[k] * scale;
+        } else {
+#pragma unroll
+          for (int k = 0; k < N; ++k) to[k * kPlane] = 0;
+        }
+      }
+  }
+};
+
+// The gradients of N channels of a thread's pixels, the first of them (x, y) in its tile. Columns: of the output
+// pixels, or 0 for any number. Careful: an output pixel of weight 0 contributes nothing, even if its gradient is inf or
+// NaN.
+template <int Columns, int N, bool Careful, class F>
+__device__ __forceinline__ void gather_pixels(CoveredGather<F> const& tile, int x, int y, F const* memory,
+                                              F (&sums)[kGatherRows][N]) {
+  constexpr int kPitch = GatherShape<F>::kColumns, kPlane = kPitch * GatherShape<F>::kRows;
+  GatherShape<F> const& shape = tile.shape;
+  Footprint<F> const& f = shape.footprint;
+  F const(&m)[4] = shape.m;
+  F const column = F(x), middle = F(y) + F(kGatherRows - 1) / 2;
+  F const center_x = tile.to_x + (shape.back[0] * column + shape.back[1] * middle);
+  F const center_y = tile.to_y + (shape.back[2] * column + shape.back[3] * middle);
+  int const first_x = max(floor_to_int<F>(center_x - shape.reach_x) + 1, 0);
+  int const first_y = max(floor_to_int<F>(center_y - shape.reach_y) + 1, 0);
+  F const du = column - (tile.from_x + (m[0] * F(first_x) + m[1] * F(first_y)));
+  F const dv = F(y) - (tile.from_y + (m[2] * F(first_x) + m[3] * F(first_y)));
+  F row_x = f.xx * du + f.xy * dv, row_y = f.xy * du + f.yy * dv;
+  F const step_xx = f.xx * m[0] + f.xy * m[2], step_xy = f.xy * m[0] + f.yy * m[2];  // of q by columns
+  F const step_yx = f.xx * m[1] + f.xy * m[3], step_yy = f.xy * m[1] + f.yy * m[3];  // and by rows
+  F const* row = memory + first_y * kPitch + first_x;
+#pragma unroll
+  for (int r = 0; r < kGatherRows; ++r)
+#pragma unroll
+    for (int k = 0; k < N; ++k) sums[r][k] = 0;
+#pragma unroll 1
+  for (int j = 0; j < shape.rows; ++j, row += kPitch) {
+    F qx = row_x, qy = row_y;
+    auto const add = [&](F const* from) {
+      F g[N];
+#pragma unroll
+      for (int k = 0; k < N; ++k) g[k] = from[k * kPlane];
+#pragma unroll
+      for (int r = 0; r < kGatherRows; ++r) {
+        F const weight = vsaturate(1 - vabs(qx + F(r) * f.xy)) * vsaturate(1 - vabs(qy + F(r) * f.yy));
+        if (Careful && !(weight > 0)) continue;
+#pragma unroll
+        for (int k = 0; k < N; ++k) sums[r][k] += weight * g[k];
+      }
+      qx -= step_xx;
+      qy -= step_xy;
+    };
+    if constexpr (Columns > 0) {
+#pragma unroll
+      for (int i = 0; i < Columns; ++i) add(row + i);
+    } else {
+#pragma unroll 1
+      for (int i = 0; i < shape.columns; ++i) add(row + i);
+    }
+    row_x -= step_yx;
+    row_y -= step_yy;
+  }
+}
+
+// Writes the gradients of a tile, N channels from `first` on, to a plane and those behind it.
+template <int Columns, int N, class F>
+__device__ __forceinline__ void gather_covered_tile(CoveredGather<F> const& tile, int width, int height,
+                                                    F const* memory, F* plane, int64_t plane_size) {
+  int const x = threadIdx.x % kTile;
+  if (tile.x + x >= width) return;
+#pragma unroll 1
+  for (int y = threadIdx.x / kTile * kGatherRows; y < kTile; y += kThreads / kTile * kGatherRows) {
+    if (tile.y + y >= height) return;
+    F sums[kGatherRows][N];
+    gather_pixels<Columns, N, false>(tile, x, y, memory, sums);
+    F rest = 0;
+#pragma unroll
+    for (int r = 0; r < kGatherRows; ++r)
+#pragma unroll
+      for (int k = 0; k < N; ++k) rest += sums[r][k] - sums[r][k];
+    if (rest != 0) gather_pixels<0, N, true>(tile, x, y, memory, sums);
+    F* const to = plane + int64_t(tile.y + y) * width + (tile.x + x);
+#pragma unroll
+    for (int r = 0; r < kGatherRows; ++r)
+      if (tile.y + y + r < height)
+#pragma unroll
+        for (int k = 0; k < N; ++k) to[k * plane_size + r * width] = sums[r][k];
+  }
+}
+
+template <class T>
+__global__ void __launch_bounds__(kThreads, sizeof(T) == 8 ? 2 : 4)
+    gather_covered(__grid_constant__ SampleImageBackward<T> const p, TileGrid tiles) {
+  using F = Compute<T>;
+  constexpr int kTogether = sizeof(T) == 8 ? 1 : 3;
+  __shared__ __align__(16) unsigned char shared_tile[sizeof(CoveredGather<F>)];
+  extern __shared__ __align__(16) unsigned char shared_memory[];
+  CoveredGather<F> const& tile = *reinterpret_cast<CoveredGather<F> const*>(shared_tile);
+  F* const memory = reinterpret_cast<F*>(shared_memory);
+  if (threadIdx.x < 32) {
+    Tile<F> located;
+    located.locate(tiles, 0);
+    CoveredGather<F> const own(located,
+                               homography(p.coords.matrices + located.b * p.coords.matrix_stride, p.coords.use), p);
+    if (threadIdx.x == 0) *reinterpret_cast<CoveredGather<F>*>(shared_tile) = own;
+  }
+  __syncthreads();
+  int const width = int(p.grad_x.width), height = int(p.grad_x.height);
+  int64_t const plane = int64_t(height) * width;
+  F* const planes = p.sums + tile.image * p.grad_x.channels * plane;
+  if (!tile.is_covered(int(p.grad.width), int(p.grad.height))) {
+    int const x = tile.x + int(threadIdx.x % kTile);
+    for (int y = tile.y + int(threadIdx.x / kTile); x < width && y < min(tile.y + kTile, height); y += kThreads / kTile)
+      for (int c = 0; c < p.grad_x.channels; ++c) planes[c * plane + int64_t(y) * width + x] = 0;
+    return;
+  }
+  for_each_channel_group<kTogether>(p.grad_x.channels, [&](int first, auto together) {
+    constexpr int N = together.value;
+    if (first > 0) __syncthreads();
+    tile.template load<N>(p, first, memory);
+    __syncthreads();
+    auto const gather = [&](auto columns) {
+      gather_covered_tile<columns.value, N>(tile, width, height, memory, planes + first * plane, plane);
+    };
+    switch (tile.shape.columns) {
+      case 2:
+        return gather(std::integral_constant<int, 2>{});
+      case 3:
+        return gather(std::integral_constant<int, 3>{});
+      case 4:
+        return gather(std::integral_constant<int, 4>{});
+      default:
+        return gather(std::integral_constant<int, 0>{});
+    }
+  });
+}
+
+}  // namespace
+}  // namespace kv::geometry::cuda

@@ -102,7 +102,8 @@ __device__ __forceinline__ void for_each_time(CoveredPixel<F> const& own, bool v
   }
 }
 
-// Calls tap(row, column, dx, dy) for a thread's taps of a pixel: pixels of the image, negative where there is the fill.
+// Calls tap(row, column, dx, dy, j, i) for a thread's taps (j, i) of a pixel: pixels of the image, negative where there
+// is the fill.
 template <int Across, class T, class F, class Tap>
 __device__ __forceinline__ void for_each_tap(Sampling<T> const& p, CoveredTaps<F> const& taps, Tap tap) {
   int const part = int(threadIdx.x % 32) / (32 / Across);
@@ -111,7 +112,7 @@ __device__ __forceinline__ void for_each_tap(Sampling<T> const& p, CoveredTaps<F
     int const row = padded_pixel(p.y_axis, j);
     F const dy = F(j) - taps.v;
     for (int i = taps.first_x + part; i <= taps.last_x; i += Across)
-      tap(row, padded_pixel(p.x_axis, i), F(i) - taps.u, dy);
+      tap(row, padded_pixel(p.x_axis, i), F(i) - taps.u, dy, j, i);
   }
 }
 

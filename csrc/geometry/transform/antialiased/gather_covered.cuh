@@ -2,8 +2,9 @@
 // all output pixels that cover it. It serves affine maps with fill padding, one sample an image; for an affine map the
 // output pixels around a source pixel are as many everywhere. Included by warp_antialiased_backward.cu.
 //
-// A block takes a tile of the source. The gradients of the output pixels that may cover its pixels are stored in shared
-// memory, divided by the sum of their weights. A thread has two source pixels, one below the other.
+// A block takes a tile of the source, as a whole or in four parts. The gradients of the output pixels that may cover
+// its pixels are stored in shared memory, divided by the sum of their weights. A thread has two source pixels, one
+// below the other.
 #pragma once
 
 #include "geometry/transform/antialiased/antialiased.cuh"
@@ -12,7 +13,8 @@
 namespace kv::geometry::cuda {
 namespace {
 
-constexpr int kGatherRows = 2;  // of a thread at a time
+constexpr int kGatherRows = 2;   // of a thread at a time
+constexpr int kGatherTile = 64;  // pixels of the source that a block takes along each axis
 
 // The output pixels around source pixels, of all tiles of a sample.
 template <class F>
@@ -23,7 +25,8 @@ struct GatherShape {
   F m[4], back[4];     // derivatives of source coordinates by those of the output, and back
   F reach_x, reach_y;  // from the middle of a thread's pixels
   int columns, rows;   // from there on
-  bool gathers;        // whether a tile's fit
+  int size;            // of a part of a tile
+  bool gathers;        // whether its output pixels fit
 
   __device__ __forceinline__ explicit GatherShape(Homography<double> const& map) {
     for (int i = 0; i < 4; ++i) m[i] = F(map.m[i + i / 2]);
@@ -41,23 +44,28 @@ struct GatherShape {
     F const per_qy[] = {(back[1] * f.xx - back[0] * f.xy) * area, (back[3] * f.xx - back[2] * f.xy) * area};
     reach_x = vabs(per_qx[0]) * to_x + vabs(per_qy[0]) * to_y;
     reach_y = vabs(per_qx[1]) * to_x + vabs(per_qy[1]) * to_y;
-    constexpr F kLess = F(1 - 2e-6), kSpan = F(kTile - 1);
-    F const more = max(reach_x, reach_y);
-    gathers = map.affine && vabs(det) > F(1e-4) && more < F(kColumns);
-    columns = rows = 0;
+    constexpr F kLess = F(1 - 2e-6);
+    gathers = map.affine && vabs(det) > F(1e-4) && max(reach_x, reach_y) < F(kColumns) &&
+              f.reach_x < F(kMaxReach - 1) && f.reach_y < F(kMaxReach - 1);
+    columns = rows = size = 0;
     if (!gathers) return;
     columns = -floor_to_int<F>(-2 * reach_x * kLess);
     rows = -floor_to_int<F>(-2 * reach_y * kLess);
-    gathers = (vabs(back[0]) + vabs(back[1])) * kSpan + F(columns + 4) <= F(kColumns) &&
-              (vabs(back[2]) + vabs(back[3])) * kSpan + F(rows + 4) <= F(kRows) && f.reach_x < F(kMaxReach - 1) &&
-              f.reach_y < F(kMaxReach - 1);
+    auto const fits = [&](int size) {
+      F const span = F(size - 1);
+      return (vabs(back[0]) + vabs(back[1])) * span + F(columns + 4) <= F(kColumns) &&
+             (vabs(back[2]) + vabs(back[3])) * span + F(rows + 4) <= F(kRows);
+    };
+    size = fits(kGatherTile) ? kGatherTile : kGatherTile / 2;
+    gathers = fits(size);
   }
 };
 
-// A tile of the source, in shared memory.
+// A part of a tile of the source, in shared memory.
 template <class F>
 struct CoveredGather {
   GatherShape<F> shape;
+  Homography<double> map;
   int64_t b, image;
   int x, y;       // its first pixel
   int left, top;  // of its output pixels
@@ -65,12 +73,14 @@ struct CoveredGather {
   F from_x, from_y;  // the source coordinates of output pixel (left, top), counted from (x, y)
   F to_x, to_y;      // the output coordinates of source pixel (x, y), counted from (left, top)
 
+  __device__ __forceinline__ CoveredGather(Homography<double> const& map, int64_t b, int64_t image)
+      : shape(map), map(map), b(b), image(image) {}
+  // The part at (x, y).
   template <class T>
-  __device__ __forceinline__ CoveredGather(Tile<F> const& tile, Homography<double> const& map,
-                                           SampleImageBackward<T> const& p)
-      : shape(map), b(tile.b), image(p.image_of(tile.b)), x(tile.x), y(tile.y) {
+  __device__ __forceinline__ void locate(SampleImageBackward<T> const& p, int part_x, int part_y) {
+    x = part_x;
+    y = part_y;
     left = top = columns = rows = 0;
-    if (!shape.gathers) return;
     double const(&m)[9] = map.m;
     double const scale = 1 / (m[0] * m[4] - m[1] * m[3]), du = double(x) - m[2], dv = double(y) - m[5];
     double const at_x = (m[4] * du - m[1] * dv) * scale, at_y = (m[0] * dv - m[3] * du) * scale;
@@ -79,7 +89,7 @@ struct CoveredGather {
         at_x > -1e4 && at_x < double(p.grad.width) + 1e4 && at_y > -1e4 && at_y < double(p.grad.height) + 1e4;
     if (!near) return;
     F const(&by)[4] = shape.back;
-    F const last = F(kTile - 1), half = F(kGatherRows - 1) / 2;
+    F const last = F(shape.size - 1), half = F(kGatherRows - 1) / 2;
     F const low_x = min(by[0] * last, F(0)) + min(by[1] * half, by[1] * (last - half));
     F const low_y = min(by[2] * last, F(0)) + min(by[3] * half, by[3] * (last - half));
     F const high_x = max(by[0] * last, F(0)) + max(by[1] * half, by[1] * (last - half));
@@ -129,29 +139,35 @@ struct CoveredGather {
   template <int N, class T>
   __device__ __forceinline__ void load(SampleImageBackward<T> const& p, int first, F* memory) const {
     constexpr int kPitch = GatherShape<F>::kColumns, kPlane = kPitch * GatherShape<F>::kRows;
-    int const width = int(p.grad.width), height = int(p.grad.height);
-    T const* const grad = p.grad.row(b, first, 0);
+    constexpr int kTogether = 2;  // rows whose gradients are loaded before the first of them is waited for
+    int const width = int(p.grad.width), height = int(p.grad.height), across = columns > 32 ? 64 : 32;
+    int const column = int(threadIdx.x) & (across - 1), at_x = left + column, at_once = kThreads / across;
+    if (column >= columns) return;
+    bool const is_column = unsigned(at_x) < unsigned(width);
+    T const* const grad = p.grad.row(b, first, 0) + at_x * p.grad.step;
 #pragma unroll 1
-    for (int row = threadIdx.x / 32; row < rows; row += kThreads / 32)
-#pragma unroll 1
-      for (int column = threadIdx.x % 32; column < columns; column += 32) {
-        int const at_x = left + column, at_y = top + row;
-        F* const to = memory + row * kPitch + column;
-        if (unsigned(at_x) < unsigned(width) && unsigned(at_y) < unsigned(height)) {
-          T const* const from = grad + at_y * p.grad.row_stride + at_x * p.grad.step;
-          F g[N];
+    for (int row = int(threadIdx.x) / across; row < rows; row += kTogether * at_once) {
+      F g[kTogether][N];
 #pragma unroll
-          for (int k = 0; k < N; ++k) g[k] = F(read(from[k * p.grad.channel_stride]));
-          F const u = from_x + (shape.m[0] * F(column) + shape.m[1] * F(row));
-          F const v = from_y + (shape.m[2] * F(column) + shape.m[3] * F(row));
-          F const scale = 1 / weight_of_all(u, v);
+      for (int r = 0; r < kTogether; ++r) {
+        int const at_y = top + row + r * at_once;
+        bool const exists = is_column && unsigned(at_y) < unsigned(height);
+        T const* const from = grad + at_y * p.grad.row_stride;
 #pragma unroll
-          for (int k = 0; k < N; ++k) to[k * kPlane] = g[k] * scale;
-        } else {
-#pragma unroll
-          for (int k = 0; k < N; ++k) to[k * kPlane] = 0;
-        }
+        for (int k = 0; k < N; ++k) g[r][k] = exists ? F(read(from[k * p.grad.channel_stride])) : F(0);
       }
+#pragma unroll
+      for (int r = 0; r < kTogether; ++r) {
+        int const own = row + r * at_once;
+        if (own >= rows) continue;
+        F const u = from_x + (shape.m[0] * F(column) + shape.m[1] * F(own));
+        F const v = from_y + (shape.m[2] * F(column) + shape.m[3] * F(own));
+        F const scale = reciprocal(weight_of_all(u, v));
+        F* const to = memory + own * kPitch + column;
+#pragma unroll
+        for (int k = 0; k < N; ++k) to[k * kPlane] = g[r][k] * scale;
+      }
+    }
   }
 };
 
@@ -213,73 +229,84 @@ __device__ __forceinline__ void gather_pixels(CoveredGather<F> const& tile, int 
 template <int Columns, int N, class F>
 __device__ __forceinline__ void gather_covered_tile(CoveredGather<F> const& tile, int width, int height,
                                                     F const* memory, F* plane, int64_t plane_size) {
-  int const x = threadIdx.x % kTile;
-  if (tile.x + x >= width) return;
+  int const size = tile.shape.size;
 #pragma unroll 1
-  for (int y = threadIdx.x / kTile * kGatherRows; y < kTile; y += kThreads / kTile * kGatherRows) {
-    if (tile.y + y >= height) return;
-    F sums[kGatherRows][N];
-    gather_pixels<Columns, N, false>(tile, x, y, memory, sums);
-    F rest = 0;
+  for (int x = threadIdx.x % 32; x < min(size, width - tile.x); x += 32)
+#pragma unroll 1
+    for (int y = threadIdx.x / 32 * kGatherRows; y < min(size, height - tile.y); y += kThreads / 32 * kGatherRows) {
+      F sums[kGatherRows][N];
+      gather_pixels<Columns, N, false>(tile, x, y, memory, sums);
+      F rest = 0;
 #pragma unroll
-    for (int r = 0; r < kGatherRows; ++r)
+      for (int r = 0; r < kGatherRows; ++r)
 #pragma unroll
-      for (int k = 0; k < N; ++k) rest += sums[r][k] - sums[r][k];
-    if (rest != 0) gather_pixels<0, N, true>(tile, x, y, memory, sums);
-    F* const to = plane + int64_t(tile.y + y) * width + (tile.x + x);
+        for (int k = 0; k < N; ++k) rest += sums[r][k] - sums[r][k];
+      if (rest != 0) gather_pixels<0, N, true>(tile, x, y, memory, sums);
+      F* const to = plane + int64_t(tile.y + y) * width + (tile.x + x);
 #pragma unroll
-    for (int r = 0; r < kGatherRows; ++r)
-      if (tile.y + y + r < height)
+      for (int r = 0; r < kGatherRows; ++r)
+        if (tile.y + y + r < height)
 #pragma unroll
-        for (int k = 0; k < N; ++k) to[k * plane_size + r * width] = sums[r][k];
-  }
+          for (int k = 0; k < N; ++k) to[k * plane_size + r * width] = sums[r][k];
+    }
 }
 
 template <class T>
 __global__ void __launch_bounds__(kThreads, sizeof(T) == 8 ? 2 : 4)
-    gather_covered(__grid_constant__ SampleImageBackward<T> const p, TileGrid tiles) {
+    gather_covered(__grid_constant__ SampleImageBackward<T> const p, unsigned across, unsigned down) {
   using F = Compute<T>;
   constexpr int kTogether = sizeof(T) == 8 ? 1 : 3;
   __shared__ __align__(16) unsigned char shared_tile[sizeof(CoveredGather<F>)];
   extern __shared__ __align__(16) unsigned char shared_memory[];
-  CoveredGather<F> const& tile = *reinterpret_cast<CoveredGather<F> const*>(shared_tile);
+  CoveredGather<F>& tile = *reinterpret_cast<CoveredGather<F>*>(shared_tile);
   F* const memory = reinterpret_cast<F*>(shared_memory);
+  unsigned const line = blockIdx.x / across, sample = line / down;
+  int const x0 = int(blockIdx.x - line * across) * kGatherTile, y0 = int(line - sample * down) * kGatherTile;
+  int const width = int(p.grad_x.width), height = int(p.grad_x.height);
   if (threadIdx.x < 32) {
-    Tile<F> located;
-    located.locate(tiles, 0);
-    CoveredGather<F> const own(located,
-                               homography(p.coords.matrices + located.b * p.coords.matrix_stride, p.coords.use), p);
-    if (threadIdx.x == 0) *reinterpret_cast<CoveredGather<F>*>(shared_tile) = own;
+    CoveredGather<F> own(homography(p.coords.matrices + sample * p.coords.matrix_stride, p.coords.use), sample,
+                         p.image_of(sample));
+    if (threadIdx.x == 0) tile = own;
   }
   __syncthreads();
-  int const width = int(p.grad_x.width), height = int(p.grad_x.height);
   int64_t const plane = int64_t(height) * width;
   F* const planes = p.sums + tile.image * p.grad_x.channels * plane;
-  if (!tile.is_covered(int(p.grad.width), int(p.grad.height))) {
-    int const x = tile.x + int(threadIdx.x % kTile);
-    for (int y = tile.y + int(threadIdx.x / kTile); x < width && y < min(tile.y + kTile, height); y += kThreads / kTile)
-      for (int c = 0; c < p.grad_x.channels; ++c) planes[c * plane + int64_t(y) * width + x] = 0;
-    return;
-  }
-  for_each_channel_group<kTogether>(p.grad_x.channels, [&](int first, auto together) {
-    constexpr int N = together.value;
-    if (first > 0) __syncthreads();
-    tile.template load<N>(p, first, memory);
+  int const size = tile.shape.gathers ? tile.shape.size : kGatherTile;
+#pragma unroll 1
+  for (int part = 0; part < (kGatherTile / size) * (kGatherTile / size); ++part) {
+    int const x = x0 + (part & 1) * size, y = y0 + (part >> 1) * size;
+    if (x >= width || y >= height) continue;
+    __syncthreads();  // before the contents are overwritten
+    if (threadIdx.x == 0 && tile.shape.gathers) tile.locate(p, x, y);
     __syncthreads();
-    auto const gather = [&](auto columns) {
-      gather_covered_tile<columns.value, N>(tile, width, height, memory, planes + first * plane, plane);
-    };
-    switch (tile.shape.columns) {
-      case 2:
-        return gather(std::integral_constant<int, 2>{});
-      case 3:
-        return gather(std::integral_constant<int, 3>{});
-      case 4:
-        return gather(std::integral_constant<int, 4>{});
-      default:
-        return gather(std::integral_constant<int, 0>{});
+    if (!tile.shape.gathers || !tile.is_covered(int(p.grad.width), int(p.grad.height))) {
+#pragma unroll 1
+      for (int i = threadIdx.x % 32; i < min(size, width - x); i += 32)
+#pragma unroll 1
+        for (int j = threadIdx.x / 32; j < min(size, height - y); j += kThreads / 32)
+          for (int c = 0; c < p.grad_x.channels; ++c) planes[c * plane + int64_t(y + j) * width + (x + i)] = 0;
+      continue;
     }
-  });
+    for_each_channel_group<kTogether>(p.grad_x.channels, [&](int first, auto together) {
+      constexpr int N = together.value;
+      if (first > 0) __syncthreads();
+      tile.template load<N>(p, first, memory);
+      __syncthreads();
+      auto const gather = [&](auto columns) {
+        gather_covered_tile<columns.value, N>(tile, width, height, memory, planes + first * plane, plane);
+      };
+      switch (tile.shape.columns) {
+        case 2:
+          return gather(std::integral_constant<int, 2>{});
+        case 3:
+          return gather(std::integral_constant<int, 3>{});
+        case 4:
+          return gather(std::integral_constant<int, 4>{});
+        default:
+          return gather(std::integral_constant<int, 0>{});
+      }
+    });
+  }
 }
 
 }  // namespace

@@ -11,7 +11,7 @@ namespace {
 template <int Across, int N, class T, class F>
 __device__ __noinline__ void add_carefully(Sample<T> const& p, Tile<F> const& tile, int first,
                                            CoveredTaps<F> const& taps, Footprint<F> const& f, F& total, F (&sums)[N]) {
-  for_each_tap<Across>(p, taps, [&](int row, int column, F dx, F dy) {
+  for_each_tap<Across>(p, taps, [&](int row, int column, F dx, F dy, int, int) {
     F const w = weight_of(f, dx, dy);
     if (!(w > 0)) return;
     total += w;
@@ -27,12 +27,12 @@ __device__ __noinline__ void add_carefully(Sample<T> const& p, Tile<F> const& ti
 // A tile without a source tile: maps, strong shrinking. Rows are divided among blocks.
 template <class T, class F>
 __device__ __noinline__ void sample_unstaged(Sample<T> const& p, Tile<F> const& tile, int split, int splits) {
+  int const warps = int(blockDim.x) / 32;
   int const width = int(p.y.width), height = int(p.y.height), lane = threadIdx.x % 32, x = tile.x + lane;
   TilePixels<F> const pixels(p.coords, tile);
   int const row_stride = int(p.x.row_stride), step = int(p.x.step);
 #pragma unroll 1
-  for (int y = tile.y + int(threadIdx.x) / 32 + split * (kThreads / 32); y < min(tile.y + kTile, height);
-       y += splits * (kThreads / 32)) {
+  for (int y = tile.y + int(threadIdx.x) / 32 + split * warps; y < min(tile.y + kTile, height); y += splits * warps) {
     CoveredPixel<F> const own = pixels.at(p, y, min(x, width - 1));
     bool const inside = __all_sync(kAllLanes, own.inside);
     dispatch_across(own, [&](auto threads) {
@@ -89,30 +89,24 @@ __global__ void __launch_bounds__(kThreads, sizeof(T) == 8 ? 2 : 4)
   sample_unstaged(p, tile, 0, 1);
 }
 
-template <class T, int Pitch, int Rows, int Blocks, bool Skips = true>
-__global__ void __launch_bounds__(kThreads, Blocks)
-    sample_by_parts(__grid_constant__ Sample<T> const p, TileGrid tiles, bool aligned) {
+// A block has `chunk` tiles, one after the other, because finding the first one takes as long as sampling a part; where
+// there are few, several blocks share one.
+template <class T, class Parts, int Blocks>
+__global__ void __launch_bounds__(Parts::kThreads, Blocks)
+    sample_by_parts(__grid_constant__ Sample<T> const p, TileGrid const tiles, unsigned chunk, bool aligned) {
   using F = Compute<T>;
-  __shared__ Tile<F> tile;
-  __shared__ PartPlan<F> plan;
+  __shared__ __align__(16) unsigned char shared_tiles[sizeof(TilesInParts<Parts, F>)];
   extern __shared__ __align__(16) unsigned char memory[];
-  if (threadIdx.x < 32) {
-    Tile<F> own;
-    PartPlan<F> own_plan;
-    own.init(tiles, p.coords);
-    own.image = p.image_of(own.b);
-    own_plan.init(own, int(p.y.width), int(p.y.height), Pitch, Rows);
-    if (!Skips) own_plan.limit_x = own_plan.limit_y = F(1e9);
-    if (threadIdx.x == 0) {
-      tile = own;
-      plan = own_plan;
-    }
+  auto& own = *reinterpret_cast<TilesInParts<Parts, F>*>(shared_tiles);
+  unsigned const first = blockIdx.x * chunk, end = first + chunk < tiles.blocks ? first + chunk : tiles.blocks;
+#pragma unroll 1
+  for (unsigned number = first; number < end; ++number) {
+    own.init(tiles, p, number, number == first, int(p.y.width), int(p.y.height));
+    if (own.plan.fits)
+      sample_parts(p, own, aligned, int(blockIdx.y), int(gridDim.y), reinterpret_cast<F*>(memory));
+    else
+      sample_unstaged(p, own.tile, int(blockIdx.y), int(gridDim.y));
   }
-  __syncthreads();
-  if (plan.fits)
-    sample_parts<Pitch, Rows>(p, tile, plan, aligned, int(blockIdx.y), int(gridDim.y), reinterpret_cast<F*>(memory));
-  else
-    sample_unstaged(p, tile, int(blockIdx.y), int(gridDim.y));
 }
 
 }  // namespace
@@ -124,33 +118,41 @@ int sample_antialiased(Sample<T> const& p, CUstream_st* stream) {
     char const* const text = std::getenv("KV_VARIANT");
     int const variant = text ? std::atoi(text) : 0;
     if (!p.coords.has_map() && variant < 100) {
-      int64_t const vector = 4 * int64_t(sizeof(T));
-      bool const aligned = reinterpret_cast<uintptr_t>(p.x.data) % vector == 0 && p.x.step == 1 &&
-                           (p.x.row_stride | p.x.channel_stride | p.x.batch_stride) % 4 == 0;
-      int64_t const ratio = p.x.height * p.x.width / (p.y.height * p.y.width);
-      unsigned const splits = ratio >= 12 ? 8 : ratio >= 3 ? 2 : 1;
-      auto const launch = [&](auto kernel, int pitch, int rows, unsigned splits) -> int {
-        int const bytes = (p.x.channels >= kChannelsTogether ? kChannelsTogether : 1) * pitch * rows * 4;
+      bool const aligned = rows_are_fours(p.x);
+      auto const run = [&](auto parts, auto blocks, unsigned chunk) -> int {
+        using Parts = decltype(parts);
+        auto* const kernel = sample_by_parts<T, Parts, decltype(blocks)::value>;
+        int const bytes = Parts::bytes(p.x.channels);
         if (int const error = cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, bytes))
           return error;
-        kernel<<<dim3(tiles.blocks, splits), kThreads, bytes, stream>>>(p, tiles, aligned);
+        int64_t const at_once = int64_t(multiprocessors()) * decltype(blocks)::value, count = tiles.blocks;
+        // Parts of a tile are about as many as the images are larger.
+        int64_t const ratio = p.x.height * p.x.width / (p.y.height * p.y.width);
+        if (chunk == 0) chunk = unsigned(clamp(count / (3 * at_once), int64_t(1), int64_t(8)));
+        unsigned const splits =
+            unsigned(clamp(min(ratio, 3 * at_once / max(count, int64_t(1))), int64_t(1), int64_t(8)));
+        kernel<<<dim3(unsigned(ceil_div(count, chunk)), splits), Parts::kThreads, bytes, stream>>>(p, tiles, chunk,
+                                                                                                   aligned);
         return cudaGetLastError();
       };
+      using Small = PartTiles<64, 52, 256>;
+      using Four = std::integral_constant<int, 4>;
       if constexpr (__is_same(T, float)) {
+        using Two = std::integral_constant<int, 2>;
         switch (variant) {
           case 1:
-            return launch(sample_by_parts<T, 96, 60, 3>, 96, 60, splits);
+            return run(PartTiles<96, 92, 512>{}, Two{}, 0);
           case 2:
-            return launch(sample_by_parts<T, 64, 96, 3>, 64, 96, splits);
+            return run(PartTiles<96, 92, 512>{}, Two{}, 1);
+          case 3:
+            return run(PartTiles<96, 92, 512>{}, Two{}, 8);
           case 4:
-            return launch(sample_by_parts<T, 64, 52, 4>, 64, 52, 1);
+            return run(Small{}, Four{}, 1);
           case 5:
-            return launch(sample_by_parts<T, 64, 52, 4, false>, 64, 52, splits);
-          case 6:
-            return launch(sample_by_parts<T, 96, 92, 2>, 96, 92, splits);
+            return run(Small{}, Four{}, 8);
         }
       }
-      return launch(sample_by_parts<T, 64, 52, 4>, 64, 52, splits);
+      return run(Small{}, Four{}, 0);
     }
   }
   sample_covered<T><<<tiles.blocks, kThreads, 0, stream>>>(p, tiles);

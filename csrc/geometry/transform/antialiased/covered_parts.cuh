@@ -212,18 +212,22 @@ __device__ __forceinline__ void load_part(Params const& p, Tile<F> const& tile, 
   F const limit_x = plan.limit_x, limit_y = plan.limit_y;
   int const rows = part.rows;
   F* to = memory + first_row * (N * Pitch) + column;
+  constexpr bool kIsCopy = sizeof(T) == sizeof(F);
+  constexpr int kTogether = kIsCopy ? 1 : 3;  // rows that are loaded before the first of them is converted
+  auto const vector_at = [&](int k, int at) { return *reinterpret_cast<Vector<T, V> const*>(planes[k] + at); };
+  auto const convert = [&](F* to, Vector<T, V> const& vector) {
+    Vector<F, V> wide;
+#pragma unroll
+    for (int i = 0; i < V; ++i) wide.v[i] = read(vector.v[i]);
+    *reinterpret_cast<Vector<F, V>*>(to) = wide;
+  };
   auto const copy = [&](int at) {
 #pragma unroll
     for (int k = 0; k < N; ++k) {
-      if constexpr (sizeof(T) == sizeof(F)) {
+      if constexpr (kIsCopy)
         __pipeline_memcpy_async(to + k * Pitch, planes[k] + at, V * sizeof(T));
-      } else {
-        auto const vector = *reinterpret_cast<Vector<T, V> const*>(planes[k] + at);
-        Vector<F, V> wide;
-#pragma unroll
-        for (int i = 0; i < V; ++i) wide.v[i] = read(vector.v[i]);
-        *reinterpret_cast<Vector<F, V>*>(to + k * Pitch) = wide;
-      }
+      else
+        convert(to + k * Pitch, vector_at(k, at));
     }
   };
   int const first_column = part.left + tile.u, top = part.top + tile.v;
@@ -231,12 +235,30 @@ __device__ __forceinline__ void load_part(Params const& p, Tile<F> const& tile, 
       top + rows <= p.y_axis.size) {
     int at = (top + first_row) * row_stride + from * (Aligned ? 1 : step);
 #pragma unroll 1
-    for (int row = first_row; row < rows; row += kRowsAtOnce) {
-      if (vabs(x) <= limit_x && vabs(y) <= limit_y) copy(at);
-      x += step_x;
-      y += step_y;
-      at += kRowsAtOnce * row_stride;
-      to += kRowsAtOnce * N * Pitch;
+    for (int row = first_row; row < rows; row += kTogether * kRowsAtOnce) {
+      bool needed[kTogether];
+      [[maybe_unused]] Vector<T, V> vectors[kTogether][N];
+#pragma unroll
+      for (int r = 0; r < kTogether; ++r) {
+        needed[r] = vabs(x) <= limit_x && vabs(y) <= limit_y && (r == 0 || row + r * kRowsAtOnce < rows);
+        if constexpr (kIsCopy) {
+          if (needed[r]) copy(at);
+        } else if (needed[r]) {
+#pragma unroll
+          for (int k = 0; k < N; ++k) vectors[r][k] = vector_at(k, at);
+        }
+        x += step_x;
+        y += step_y;
+        at += kRowsAtOnce * row_stride;
+      }
+      if constexpr (!kIsCopy) {
+#pragma unroll
+        for (int r = 0; r < kTogether; ++r)
+          if (needed[r])
+#pragma unroll
+            for (int k = 0; k < N; ++k) convert(to + (r * kRowsAtOnce * N + k) * Pitch, vectors[r][k]);
+      }
+      to += kTogether * kRowsAtOnce * N * Pitch;
     }
     return;
   }

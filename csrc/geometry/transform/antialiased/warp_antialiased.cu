@@ -137,22 +137,9 @@ int sample_antialiased(Sample<T> const& p, CUstream_st* stream) {
       };
       using Small = PartTiles<64, 52, 256>;
       using Four = std::integral_constant<int, 4>;
-      if constexpr (__is_same(T, float)) {
-        using Two = std::integral_constant<int, 2>;
-        switch (variant) {
-          case 1:
-            return run(PartTiles<96, 92, 512>{}, Two{}, 0);
-          case 2:
-            return run(PartTiles<96, 92, 512>{}, Two{}, 1);
-          case 3:
-            return run(PartTiles<96, 92, 512>{}, Two{}, 8);
-          case 4:
-            return run(Small{}, Four{}, 1);
-          case 5:
-            return run(Small{}, Four{}, 8);
-        }
-      }
-      return run(Small{}, Four{}, 0);
+      if (variant % 10 == 1)
+        return run(PartTiles<96, 92, 512>{}, std::integral_constant<int, 2>{}, unsigned(variant) / 10);
+      return run(Small{}, Four{}, unsigned(variant) / 10);
     }
   }
   sample_covered<T><<<tiles.blocks, kThreads, 0, stream>>>(p, tiles);

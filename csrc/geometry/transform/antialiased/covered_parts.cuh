@@ -14,12 +14,11 @@ namespace {
 
 constexpr int kChannelsTogether = 3;
 
-// The capacity of source tiles, and the threads of a block.
-template <int Pitch, int Rows, int Threads>
+// The capacity of source tiles.
 struct PartTiles {
-  static constexpr int kPitch = Pitch, kRows = Rows, kThreads = Threads;
+  static constexpr int kPitch = 64, kRows = 52;
   static int bytes(int channels) {
-    return (channels >= kChannelsTogether ? kChannelsTogether : 1) * Pitch * Rows * int(sizeof(float));
+    return (channels >= kChannelsTogether ? kChannelsTogether : 1) * kPitch * kRows * int(sizeof(float));
   }
 };
 
@@ -192,12 +191,12 @@ __device__ __noinline__ void sample_carefully(Sample<T> const& p, Tile<F> const&
 }
 
 // Loads N channels of a part, those of a row one after the other. Vectors of four pixels, if rows begin with such.
-template <int N, class Parts, bool Aligned, class Params, class F>
+template <int N, bool Aligned, class Params, class F>
 __device__ __forceinline__ void load_part(Params const& p, Tile<F> const& tile, PartPlan<F> const& plan,
                                           PartBounds<F> const& part, int first, F* memory) {
   using T = std::remove_const_t<std::remove_pointer_t<decltype(p.x.data)>>;
-  constexpr int Pitch = Parts::kPitch, V = Aligned ? 4 : 1, kThreadsAcross = Pitch <= 64 ? 64 / V : 128 / V,
-                kRowsAtOnce = Parts::kThreads / kThreadsAcross;
+  constexpr int Pitch = PartTiles::kPitch, V = Aligned ? 4 : 1, kThreadsAcross = Pitch <= 64 ? 64 / V : 128 / V,
+                kRowsAtOnce = kThreads / kThreadsAcross;
   int const column = threadIdx.x % kThreadsAcross * V, first_row = threadIdx.x / kThreadsAcross;
   if (column >= part.columns) return;
   int const from = part.left + tile.u + column, row_stride = int(p.x.row_stride), step = int(p.x.step);
@@ -288,14 +287,14 @@ __device__ __forceinline__ void load_part(Params const& p, Tile<F> const& tile, 
 }
 
 // The same by all threads, which then see them. `aligned`: rows begin with vectors of four pixels.
-template <int N, class Parts, class Params, class F>
+template <int N, class Params, class F>
 __device__ __forceinline__ void stage_part(Params const& p, Tile<F> const& tile, PartPlan<F> const& plan,
                                            PartBounds<F> const& part, bool aligned, int first, F* memory) {
   __syncthreads();  // before the current contents are overwritten
   if (aligned)
-    load_part<N, Parts, true>(p, tile, plan, part, first, memory);
+    load_part<N, true>(p, tile, plan, part, first, memory);
   else
-    load_part<N, Parts, false>(p, tile, plan, part, first, memory);
+    load_part<N, false>(p, tile, plan, part, first, memory);
   __pipeline_commit();
   __pipeline_wait_prior(0);
   __syncthreads();
@@ -311,10 +310,10 @@ __device__ __forceinline__ int floor_near(float x, float& whole) {
 
 // Samples N channels of a part, with 2^A threads and Taps << A columns for each pixel; thread k mod 2^A stores channel
 // k. Whether one of a thread's pixels is out of reach or not finite.
-template <int A, int Taps, bool Separable, int N, class Parts, class T, class F>
+template <int A, int Taps, bool Separable, int N, class T, class F>
 __device__ __forceinline__ bool sample_part(Sample<T> const& p, Tile<F> const& tile, PartPlan<F> const& plan,
                                             PartBounds<F> const& part, int first, int x0, int y0, F const* memory) {
-  constexpr int Pitch = Parts::kPitch, kPixelsOfWarp = 32 >> A, kPixelsAtOnce = Parts::kThreads / 32 * kPixelsOfWarp;
+  constexpr int Pitch = PartTiles::kPitch, kPixelsOfWarp = 32 >> A, kPixelsAtOnce = kThreads / 32 * kPixelsOfWarp;
   int const lane = threadIdx.x % 32, own = lane & ((1 << A) - 1), warp = threadIdx.x / 32;
   bool const along_x = plan.along_x;
   int const pixels = 1 << (plan.log_columns + plan.log_rows), log_line = along_x ? plan.log_columns : plan.log_rows;
@@ -456,7 +455,7 @@ __device__ __noinline__ void resample_part(Sample<T> const& p, Tile<F> const& ti
   int const lane = threadIdx.x % 32, threads = 1 << plan.across, pixels = 1 << (plan.log_columns + plan.log_rows);
   int const log_line = plan.along_x ? plan.log_columns : plan.log_rows;
 #pragma unroll 1
-  for (int base = int(threadIdx.x) / 32 * (32 >> plan.across); base < pixels; base += int(blockDim.x) >> plan.across) {
+  for (int base = int(threadIdx.x) / 32 * (32 >> plan.across); base < pixels; base += kThreads >> plan.across) {
     int const number = base + (lane >> plan.across), along = number & ((1 << log_line) - 1), cross = number >> log_line;
     int const x = x0 + (plan.along_x ? along : cross), y = y0 + (plan.along_x ? cross : along);
     if (number >= pixels || x >= p.y.width || y >= p.y.height) continue;
@@ -466,15 +465,15 @@ __device__ __noinline__ void resample_part(Sample<T> const& p, Tile<F> const& ti
   }
 }
 
-template <int N, class Parts, class T, class F>
+template <int N, class T, class F>
 __device__ __forceinline__ void dispatch_part(Sample<T> const& p, Tile<F> const& tile, PartPlan<F> const& plan,
                                               PartBounds<F> const& part, int first, int x0, int y0, F const* memory) {
   bool failed = false;
   auto const with_taps = [&](auto across) {
     constexpr int A = across.value;
     auto const with_shape = [&](auto taps) {
-      failed = plan.separable ? sample_part<A, taps.value, true, N, Parts>(p, tile, plan, part, first, x0, y0, memory)
-                              : sample_part<A, taps.value, false, N, Parts>(p, tile, plan, part, first, x0, y0, memory);
+      failed = plan.separable ? sample_part<A, taps.value, true, N>(p, tile, plan, part, first, x0, y0, memory)
+                              : sample_part<A, taps.value, false, N>(p, tile, plan, part, first, x0, y0, memory);
     };
     if (A == 0 && plan.taps_x == 2)
       with_shape(std::integral_constant<int, 2>{});
@@ -499,36 +498,24 @@ __device__ __forceinline__ void dispatch_part(Sample<T> const& p, Tile<F> const&
   if (failed) resample_part<N>(p, tile, plan, first, x0, y0);
 }
 
-// A block's tiles, one after the other, and their plans, in shared memory.
-template <class Parts, class F>
-struct TilesInParts {
+// A block's tile and its plan, in shared memory.
+template <class F>
+struct TileInParts {
   Tile<F> tile;
   PartPlan<F> plan;
-  Homography<double> map;  // of the sample
 
-  // Finds tile `number` of an output of that size, by all threads. Affine maps have one plan.
+  // By all threads, of an output of that size.
   template <class Params>
-  __device__ __forceinline__ void init(TileGrid tiles, Params const& p, unsigned number, bool is_first, int width,
-                                       int height) {
-    __syncthreads();  // before the contents are overwritten
+  __device__ __forceinline__ void init(TileGrid const& tiles, Params const& p, int width, int height) {
     if (threadIdx.x < 32) {
       Tile<F> own;
-      tiles.first_block = blockIdx.x - number;
-      own.locate(tiles, 0);
-      bool const is_next = !is_first && own.b == tile.b;
-      own.image = is_next ? tile.image : p.image_of(own.b);
-      Homography<double> const whole =
-          is_next ? map : homography(p.coords.matrices + own.b * p.coords.matrix_stride, p.coords.use);
-      own.bind(whole, p.coords.use.source);
-      __syncwarp();  // before the contents are overwritten
-      if (!is_next || !whole.affine) {
-        PartPlan<F> own_plan;
-        own_plan.init(own, width, height, Parts::kPitch, Parts::kRows);
-        if (threadIdx.x == 0) plan = own_plan;
-      }
+      PartPlan<F> own_plan;
+      own.init(tiles, p.coords);
+      own.image = p.image_of(own.b);
+      own_plan.init(own, width, height, PartTiles::kPitch, PartTiles::kRows);
       if (threadIdx.x == 0) {
         tile = own;
-        map = whole;
+        plan = own_plan;
       }
     }
     __syncthreads();
@@ -542,22 +529,22 @@ struct TilesInParts {
       int const x = tile.x + ((number & ((1 << log_across) - 1)) << plan.log_columns);
       int const y = tile.y + (number >> log_across << plan.log_rows);
       if (x < width && y < height)
-        take(x, y, PartBounds<F>(tile, plan, x, y, width, height, Parts::kPitch, Parts::kRows));
+        take(x, y, PartBounds<F>(tile, plan, x, y, width, height, PartTiles::kPitch, PartTiles::kRows));
     }
   }
 };
 
 // Samples the parts of a tile whose number is `split` modulo `splits`.
-template <class Parts, class T, class F>
-__device__ __forceinline__ void sample_parts(Sample<T> const& p, TilesInParts<Parts, F> const& tiles, bool aligned,
-                                             int split, int splits, F* memory) {
-  Tile<F> const& tile = tiles.tile;
-  PartPlan<F> const& plan = tiles.plan;
+template <class T, class F>
+__device__ __forceinline__ void sample_parts(Sample<T> const& p, TileInParts<F> const& whole, bool aligned, int split,
+                                             int splits, F* memory) {
+  Tile<F> const& tile = whole.tile;
+  PartPlan<F> const& plan = whole.plan;
   int const width = int(p.y.width), height = int(p.y.height);
-  tiles.for_each_part(width, height, split, splits, [&](int x0, int y0, PartBounds<F> const& part) {
+  whole.for_each_part(width, height, split, splits, [&](int x0, int y0, PartBounds<F> const& part) {
     if (part.is_outside(tile, p)) {
       int const pixels = 1 << (plan.log_columns + plan.log_rows);
-      for (int i = threadIdx.x; i < pixels; i += Parts::kThreads) {
+      for (int i = threadIdx.x; i < pixels; i += kThreads) {
         int const x = x0 + (i & ((1 << plan.log_columns) - 1)), y = y0 + (i >> plan.log_columns);
         if (x < width && y < height)
           for (int c = 0; c < p.x.channels; ++c)
@@ -567,8 +554,8 @@ __device__ __forceinline__ void sample_parts(Sample<T> const& p, TilesInParts<Pa
     }
     for_each_channel_group<kChannelsTogether>(p.x.channels, [&](int first, auto together) {
       constexpr int N = together.value;
-      stage_part<N, Parts>(p, tile, plan, part, aligned, first, memory);
-      dispatch_part<N, Parts>(p, tile, plan, part, first, x0, y0, memory);
+      stage_part<N>(p, tile, plan, part, aligned, first, memory);
+      dispatch_part<N>(p, tile, plan, part, first, x0, y0, memory);
     });
   });
 }

@@ -1,7 +1,5 @@
-// The gradients of antialiased sampling on CUDA: atomic additions to the images, sums to matrices, one number for each
-// coordinate of maps.
-#include <cstdlib>
-
+// The gradients of antialiased sampling on CUDA: gathered to the images of affine maps, by atomic additions to others,
+// sums to matrices, one number for each coordinate of maps.
 #include "core/block_reduce.cuh"
 #include "geometry/transform/antialiased/covered_parts.cuh"
 #include "geometry/transform/antialiased/gather_covered.cuh"
@@ -165,15 +163,13 @@ __global__ void __launch_bounds__(kThreads)
   if (!p.coords.has_map()) store_block_sums<kThreads>(sums, p.sums + int64_t(blockIdx.x) * 9);
 }
 
-using GradientParts = PartTiles<64, 52, kThreads>;
-
 // The gradients of a part to the matrix, by N channels that are in shared memory, are added to sums. A thread takes a
 // pixel.
 template <int N, class T, class F>
 __device__ __forceinline__ void differentiate_part(AntialiasedCoordsBackward<T> const& p, Tile<F> const& tile,
                                                    PartPlan<F> const& plan, PartBounds<F> const& part, int first,
                                                    int x0, int y0, F const* memory, F (&sums)[9]) {
-  constexpr int Pitch = GradientParts::kPitch;
+  constexpr int Pitch = PartTiles::kPitch;
   int const width = int(p.grad.width), height = int(p.grad.height);
   int const pixels = 1 << (plan.log_columns + plan.log_rows);
   int const log_line = plan.along_x ? plan.log_columns : plan.log_rows;
@@ -243,18 +239,19 @@ template <class T>
 __global__ void __launch_bounds__(kThreads, 2)
     differentiate_by_parts(__grid_constant__ AntialiasedCoordsBackward<T> const p, TileGrid tiles, bool aligned) {
   using F = Compute<T>;
-  __shared__ __align__(16) unsigned char shared_tiles[sizeof(TilesInParts<GradientParts, F>)];
+  __shared__ __align__(16) unsigned char shared_tiles[sizeof(TileInParts<F>)];
   extern __shared__ __align__(16) unsigned char memory[];
-  auto& own = *reinterpret_cast<TilesInParts<GradientParts, F>*>(shared_tiles);
+  auto& own = *reinterpret_cast<TileInParts<F>*>(shared_tiles);
   int const width = int(p.grad.width), height = int(p.grad.height);
-  own.init(tiles, p, blockIdx.x, true, width, height);
+  own.init(tiles, p, width, height);
   F sums[9] = {};
-  if (own.plan.fits)
+  // Parts of fewer pixels would leave most threads without one.
+  if (own.plan.fits && own.plan.log_columns + own.plan.log_rows >= 6)
     own.for_each_part(width, height, 0, 1, [&](int x0, int y0, PartBounds<F> const& part) {
       if (part.is_outside(own.tile, p)) return;
       for_each_channel_group<kChannelsTogether>(p.x.channels, [&](int first, auto together) {
         constexpr int N = together.value;
-        stage_part<N, GradientParts>(p, own.tile, own.plan, part, aligned, first, reinterpret_cast<F*>(memory));
+        stage_part<N>(p, own.tile, own.plan, part, aligned, first, reinterpret_cast<F*>(memory));
         differentiate_part<N>(p, own.tile, own.plan, part, first, x0, y0, reinterpret_cast<F const*>(memory), sums);
       });
     });
@@ -276,21 +273,23 @@ __global__ void __launch_bounds__(kThreads) add_differences(__grid_constant__ Ma
 template <class T>
 int sample_antialiased_image_backward(SampleImageBackward<T> const& p, CUstream_st* stream) {
   using F = Compute<T>;
-  char const* const text = std::getenv("KV_VARIANT");
   TileGrid const tiles(p.grad.batch, p.grad.height, p.grad.width, 1);
-  bool const gathers = !p.coords.has_map() && p.is_one_sample_per_image() && !(text && std::atoi(text) >= 100);
+  bool const gathers = !p.coords.has_map() && p.is_one_sample_per_image();
   if (gathers) {
     auto const& x = p.grad_x;
     unsigned const across = unsigned(ceil_div(x.width, kGatherTile)), down = unsigned(ceil_div(x.height, kGatherTile));
     int const together = sizeof(T) == 8 || p.grad_x.channels < 3 ? 1 : 3;
     int const bytes = together * GatherShape<F>::kColumns * GatherShape<F>::kRows * int(sizeof(F));
-    gather_covered<T><<<unsigned(x.batch) * across * down, kThreads, bytes, stream>>>(p, across, down);
+    unsigned const blocks = unsigned(x.batch) * across * down;
+    if (blocks > 0) gather_covered<T><<<blocks, kThreads, bytes, stream>>>(p, across, down);
   } else {
     int64_t const count = p.grad_x.batch * p.grad_x.channels * p.grad_x.height * p.grad_x.width;
     cudaError_t const error = cudaMemsetAsync(p.sums, 0, size_t(count) * sizeof(F), stream);
     if (error != cudaSuccess) return error;
   }
-  unsigned const chunk = gathers ? unsigned(ceil_div(int(tiles.blocks), 4 * multiprocessors())) : 1;
+  // An affine map is gathered but for few: most blocks would only find that out.
+  unsigned const chunk =
+      gathers && p.coords.use.rows == 2 ? unsigned(ceil_div(int(tiles.blocks), 4 * multiprocessors())) : 1;
   if (tiles.blocks > 0)
     scatter_covered<T><<<ceil_div(tiles.blocks, chunk), kThreads, 0, stream>>>(p, tiles, chunk, gathers);
   return cudaGetLastError();
@@ -299,14 +298,10 @@ int sample_antialiased_image_backward(SampleImageBackward<T> const& p, CUstream_
 template <class T>
 int sample_antialiased_coords_backward(AntialiasedCoordsBackward<T> const& p, CUstream_st* stream) {
   TileGrid const tiles(p.grad.batch, p.grad.height, p.grad.width, 1);
-  char const* const text = std::getenv("KV_VARIANT");
   if constexpr (sizeof(T) < 8) {
-    if (!p.coords.has_map() && !(text && std::atoi(text) >= 100)) {
-      int const bytes = GradientParts::bytes(p.x.channels);
-      auto* const kernel = differentiate_by_parts<T>;
-      if (int const error = cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, bytes))
-        return error;
-      kernel<<<tiles.blocks, kThreads, bytes, stream>>>(p, tiles, rows_are_fours(p.x));
+    if (!p.coords.has_map()) {
+      differentiate_by_parts<T>
+          <<<tiles.blocks, kThreads, PartTiles::bytes(p.x.channels), stream>>>(p, tiles, rows_are_fours(p.x));
       return cudaGetLastError();
     }
   }

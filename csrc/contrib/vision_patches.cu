@@ -6,10 +6,8 @@
 //   pixels of the tile: weighted rows, normalized          in shared memory, in the order of the patches
 //   copies of whole patches                                vectors of adjacent elements, once a repeat
 //
-// Of bytes, a thread reads the taps of a pixel as aligned words and multiplies them four at a time, by the high and the
-// low bytes of its weights.
-#include "contrib/vision_patches.h"
-#include "core/launch.cuh"
+// Bytes that shrink a few times have a kernel of their own, in vision_patches_bytes.cu.
+#include "contrib/vision_patches.cuh"
 
 namespace kv::contrib::cuda {
 namespace {
@@ -17,14 +15,8 @@ namespace {
 using geometry::ResizeAxis;
 
 constexpr int kThreads = 384, kBlocks = 3;  // of a multiprocessor at once
-constexpr int kImages = 256;                // of a launch
 constexpr int kColumns = 128;               // of a tile, about
-constexpr int kZeroed = 16;                 // patches of padding that a block writes
 constexpr int64_t kShared = 100000;         // bytes, so that two blocks share a multiprocessor
-
-struct Table {
-  PatchImage images[kImages];
-};
 
 // What all blocks of a launch share: sizes of a tile and of its parts of shared memory, in bytes.
 struct Tiles {
@@ -38,20 +30,11 @@ struct Tiles {
   KV_HD int columns(int patch) const { return (across * patch + 3) / 4 * 4; }
 };
 
-// An axis of an image, as ResizeAxis has it, by the few numbers that a block needs.
-struct Axis {
-  geometry::ResizeFilter filter;
-  int source, result, radius;
-  __device__ Axis(geometry::ResizeFilter filter, int source, int result)
-      : filter(filter), source(source), result(result), radius(geometry::filter_radius(filter)) {}
-  __device__ int taps() const { return min((2 * radius * max(source, result) + result - 1) / result, source); }
-};
-
 // Writes the normalized weights of pixel i, `stride` apart, zeros up to `taps`; returns the first pixel of its band.
 __device__ __noinline__ int write_band(Axis const& axis, int i, float* weights, int stride, int taps) {
-  double const scale = double(axis.source) / axis.result, center = (i + 0.5) * scale - 0.5, unit = max(scale, 1.);
-  int const first = max(int(floor(center - axis.radius * unit)) + 1, 0);
-  float const per_unit = float(1 / unit);
+  double const scale = axis.scale(), center = axis.center(i, scale);
+  int const first = axis.first(center, scale);
+  float const per_unit = float(1 / max(scale, 1.));
   float x = float(first - center) * per_unit, sum = 0;
   int const count = min(taps, axis.source - first);
 #pragma unroll 1
@@ -66,69 +49,19 @@ __device__ __noinline__ int write_band(Axis const& axis, int i, float* weights, 
   return first;
 }
 
-__device__ __forceinline__ int dot_signed(uint32_t bytes, uint32_t weights, int sum) {
-  int result;
-  asm("dp4a.u32.s32 %0, %1, %2, %3;" : "=r"(result) : "r"(bytes), "r"(weights), "r"(sum));
-  return result;
-}
-__device__ __forceinline__ int dot_unsigned(uint32_t bytes, uint32_t weights, int sum) {
-  return int(__dp4a(bytes, weights, unsigned(sum)));
-}
-
-// The bits of integer weights behind the point. Their high bytes are signed, so that weights are below 2 in size.
-__device__ __forceinline__ int bits_of(Axis const& axis) {
-  int bits = 14;
-  for (int result = 2 * axis.result; result <= axis.source && bits < 20; result *= 2) ++bits;
-  return bits;
-}
-__device__ __forceinline__ int level_of(int sum, int bits) { return min(max(sum >> bits, 0), 255); }
-
-// Resizes rows [first, first + count) of a channel along x, at one column, to `to`. Words: how many aligned words have
-// the taps, 0 for any number and alignment.
-template <int Words>
-__device__ __forceinline__ void resize_column(uint8_t const* row, int64_t row_stride, int64_t step, int count,
-                                              float const* weights, int stride, int taps, int bits, uint8_t* to,
-                                              int to_stride) {
-  float const unit = float(1 << bits);
-  int const half = 1 << (bits - 1);
-  if constexpr (Words > 0) {
-    int const offset = int(reinterpret_cast<uintptr_t>(row) % 4);
-    uint32_t high[Words]{}, low[Words]{};
-    int at[Words];
-    int used = 0;
-#pragma unroll
-    for (int w = 0; w < Words; ++w) {
-#pragma unroll
-      for (int b = 0; b < 4; ++b) {
-        int const k = 4 * w + b - offset;
-        int const weight = k >= 0 && k < taps ? __float2int_rn(weights[k * stride] * unit) : 0;
-        high[w] |= uint32_t((weight >> 8) & 255) << (8 * b);
-        low[w] |= uint32_t(weight & 255) << (8 * b);
-      }
-      if (high[w] | low[w]) used = w;
-      at[w] = used == w ? w : 0;
-    }
-    auto const* words = reinterpret_cast<uint32_t const*>(row - offset);
-    int64_t const next = row_stride / 4;
-#pragma unroll 4
-    for (int r = 0; r < count; ++r, words += next, to += to_stride) {
-      int sum_high = 0, sum_low = half;
-#pragma unroll
-      for (int w = 0; w < Words; ++w) {
-        uint32_t const word = __ldg(words + at[w]);
-        sum_high = dot_signed(word, high[w], sum_high);
-        sum_low = dot_unsigned(word, low[w], sum_low);
-      }
-      *to = uint8_t(level_of((sum_high << 8) + sum_low, bits));
-    }
-  } else {
+// The pixels of a column of rows [0, count) of an image, resized along x.
+template <class T, class Line>
+__device__ __forceinline__ void resize_column(T const* row, int64_t row_stride, int64_t step, int count,
+                                              float const* weights, int stride, int taps, Line* to, int to_stride) {
 #pragma unroll 1
-    for (int r = 0; r < count; ++r, row += row_stride, to += to_stride) {
-      int sum = half;
+  for (int r = 0; r < count; ++r, row += row_stride, to += to_stride) {
+    float sum = 0;
 #pragma unroll 4
-      for (int k = 0; k < taps; ++k) sum += __float2int_rn(weights[k * stride] * unit) * int(row[k * step]);
-      *to = uint8_t(level_of(sum, bits));
+    for (int k = 0; k < taps; ++k) {
+      float const weight = weights[k * stride];
+      if (sizeof(T) == 1 || weight != 0) sum += weight * read(row[k * step]);
     }
+    *to = round_to<Line>(sum);
   }
 }
 
@@ -143,25 +76,13 @@ __global__ void __launch_bounds__(kThreads, kBlocks)
   Line* const lines = reinterpret_cast<Line*>(memory + tiles.lines);
   int const thread = int(threadIdx.x), size = p.patch, elements = p.patch_elements();
 
-  // The last image whose first block is not after this one.
-  int sample = 0;
-  for (int step = kImages / 2; step > 0; step /= 2)
-    if (sample + step < p.count && table.images[sample + step].first_unit <= int(blockIdx.x)) sample += step;
-  PatchImage const& image = table.images[sample];
+  PatchImage const& image = table.images[image_of_block(p, table)];
   int const block = int(blockIdx.x) - image.first_unit;
   int const tiles_across = (image.columns + tiles.across - 1) / tiles.across;
   int const tiles_down = (image.rows + tiles.down - 1) / tiles.down;
   U* const patches = static_cast<U*>(p.patches);
-
-  if (block >= tiles_across * tiles_down) {  // padding
-    int const count = image.rows * image.columns, first = count + (block - tiles_across * tiles_down) * kZeroed;
-    int64_t const end = int64_t(min(first + kZeroed, p.padded)) * elements;
-    U* const to = patches + image.first_patch * elements;
-    for (int64_t e = int64_t(first) * elements + thread; e < end; e += kThreads) to[e] = U{};
-    return;
-  }
-  if (p.mask && block == 0)
-    for (int i = thread; i < p.padded; i += kThreads) p.mask[image.first_patch + i] = i < image.rows * image.columns;
+  if (block >= tiles_across * tiles_down) return clear_padding<U>(p, image, block - tiles_across * tiles_down);
+  if (p.mask && block == 0) write_mask(p, image);
 
   int const tile_i = block / tiles_across * tiles.down, tile_j = block % tiles_across * tiles.across;
   int const across = min(tiles.across, image.columns - tile_j), down = min(tiles.down, image.rows - tile_i);
@@ -189,25 +110,7 @@ __global__ void __launch_bounds__(kThreads, kBlocks)
     Line* const to = lines + c * stride_x + x;
     float const* const weights = weights_x + x;
     int const taps = min(taps_x, image.width - first);
-    if constexpr (sizeof(T) == 1) {
-      bool const is_aligned = image.step == 1 && image.row_stride % 4 == 0;
-      int const bits = bits_of(axis_x);
-      if (is_aligned && taps_x <= 5)
-        resize_column<2>(row, image.row_stride, 1, read_rows, weights, stride_x, taps, bits, to, tiles.stride);
-      else if (is_aligned && taps_x <= 9)
-        resize_column<3>(row, image.row_stride, 1, read_rows, weights, stride_x, taps, bits, to, tiles.stride);
-      else
-        resize_column<0>(row, image.row_stride, image.step, read_rows, weights, stride_x, taps, bits, to, tiles.stride);
-    } else {
-      for (int r = 0; r < read_rows; ++r) {
-        float sum = 0;
-        for (int k = 0; k < taps; ++k) {
-          float const weight = weights[k * stride_x];
-          if (weight != 0) sum += weight * read(row[r * image.row_stride + k * image.step]);
-        }
-        to[r * tiles.stride] = sum;
-      }
-    }
+    resize_column(row, image.row_stride, image.step, read_rows, weights, stride_x, taps, to, tiles.stride);
   }
   __syncthreads();
 
@@ -328,17 +231,11 @@ int launch(VisionPatches<T> const& p, CUstream_st* stream) {
     Tiles const tiles = tiles_of<T, U>(p, p.images + first, part.count);
     if (tiles.bytes > max_shared_bytes(227 * 1024)) return cudaErrorInvalidConfiguration;
     Table table;
-    int64_t blocks = 0;
-    for (int n = 0; n < part.count; ++n) {
-      PatchImage& image = table.images[n] = p.images[first + n];
-      image.first_unit = int(blocks);
-      blocks += ceil_div(image.rows, tiles.down) * ceil_div(image.columns, tiles.across);
-      if (p.repeats == 0) blocks += ceil_div(p.padded - image.rows * image.columns, kZeroed);
-    }
+    unsigned const blocks = fill_table(part, p.images + first, tiles.across, tiles.down, table);
     if (blocks == 0) continue;
     if (int const error = cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, tiles.bytes))
       return error;
-    kernel<<<unsigned(blocks), kThreads, unsigned(tiles.bytes), stream>>>(part, table, tiles);
+    kernel<<<blocks, kThreads, unsigned(tiles.bytes), stream>>>(part, table, tiles);
     if (int const error = cudaGetLastError()) return error;
   }
   return cudaSuccess;
@@ -348,6 +245,8 @@ int launch(VisionPatches<T> const& p, CUstream_st* stream) {
 
 template <class T>
 int vision_patches(VisionPatches<T> const& p, CUstream_st* stream) {
+  if constexpr (sizeof(T) == 1)
+    if (int const error = vision_patches_of_bytes(p, stream); error != kUnsupported) return error;
   return p.dtype == DType::bfloat16 ? launch<T, BFloat16>(p, stream) : launch<T, float>(p, stream);
 }
 

@@ -1,10 +1,10 @@
 // Model inputs: images of any sizes are resized, normalized and written as patches, all of them in one pass. Included
-// by vision_patches_cpu.cpp, vision_patches.cu and vision_patches_op.cpp.
+// by vision_patches_cpu.cpp, vision_patches.cuh and vision_patches_op.cpp.
 //
 // Filters, bands and weights are those of geometry/transform/resize/resize.h, antialiased. Bytes are resized along rows
 // first, and rounded and saturated after either axis, as Pillow and torchvision do: where negative weights meet hard
 // edges, that is visible. On the CPU their weights are integers of 16 bits, as precise as the largest one allows, and
-// their sums exact: the bytes are those of torchvision.
+// their sums exact: the bytes are those of torchvision. CUDA has such integers with 14 bits behind the point, or 15.
 //
 //   repeats > 0   patches (C, repeats, P, P), blocks of merge x merge of them adjacent, images one after the other
 //   repeats == 0  patches (P, P, C), row by row, each image followed by zeros up to `padded` patches

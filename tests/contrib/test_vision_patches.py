@@ -94,7 +94,7 @@ def test_kernel_is_its_definition(channels, dtype, size, device, monkeypatch):
         else:
             apart = (actual.patches - expected.patches).abs() * 255
             # Integer weights round halves up, floats to even: sizes of small ratios have many.
-            assert apart.max() < 2.01 and (apart > 0.01).float().mean() < 0.1
+            assert apart.max() < 2.01 and (apart > 0.01).float().mean() < 0.12
             assert (apart > 1.01).float().mean() < 1e-3
 
 

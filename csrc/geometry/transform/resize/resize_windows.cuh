@@ -257,6 +257,186 @@ __device__ __noinline__ Compute<T> sum_of_taps(ResizeWindows<T> const& p, int64_
   return sum;
 }
 
+// The tile of a block, and its tables in shared memory. Its phases are in the order in which they run.
+template <class T, int P, int R>
+struct WindowTile {
+  ResizeWindows<T> const& p;
+  WindowAxis const &across, &down;
+  TileAxis const &columns, &rows;
+  int x, y, end_x, end_y, step;
+  int64_t sample, x_plane0, plane0;
+  int x_plane, y_plane;  // elements between planes
+  T const* origin;       // the first element that the tile reads
+  RowStep<R>* steps;
+  float* weights_x;
+  int* first_x;
+
+  __device__ __forceinline__ int elements() const { return (end_x - x) * step; }  // of a row
+  __device__ __forceinline__ bool is_empty() const { return columns.count == 0 || rows.count == 0; }
+  __device__ __forceinline__ bool by_output() const { return rows.taps <= 2 * R; }
+
+  // The rows of the tile are on their way to the L2 cache while the weights are computed.
+  __device__ __forceinline__ void prefetch() const {
+    int const lines = (columns.length * step * int(sizeof(T)) + 254) / 128;
+    for (int t = int(threadIdx.x); t < lines * rows.length * P; t += int(blockDim.x)) {
+      int const row = t / lines, line = t - row * lines;
+      int const k = P == 1 ? 0 : row % P, r = P == 1 ? row : row / P;
+      auto const* const at = reinterpret_cast<char const*>(origin + k * x_plane + r * p.x.row_stride) +
+                             min(128 * line, columns.length * step * int(sizeof(T)) - 1);
+      asm volatile("prefetch.global.L2 [%0];" ::"l"(at));
+    }
+  }
+
+  // The weights of columns and the steps of rows. The last threads begin with rows.
+  __device__ __forceinline__ void write_tables(float* norms_x) const {
+    int const threads = int(blockDim.x), from_last = threads - 1 - int(threadIdx.x);
+    float* const norms_y = norms_x + columns.length;
+    if (p.backward) {
+      write_norms(across, columns, norms_x, int(threadIdx.x), threads);
+      write_norms(down, rows, norms_y, from_last, threads);
+    }
+    if (!by_output())
+      for (int t = int(threadIdx.x); t < rows.length; t += threads) steps[t] = {};
+    if (p.backward || !by_output()) __syncthreads();
+    write_weights(across, columns, norms_x, weights_x, first_x, int(threadIdx.x), threads);
+    write_steps(down, rows, norms_y, steps, from_last, threads);
+    __syncthreads();
+  }
+
+  // Element e of the rows.
+  __device__ __forceinline__ void write_column(int e, int pixel) const {
+    int const index_x = across.index_of(x + pixel), local = index_x - columns.low;
+    T const* const from = origin + first_x[local] * step + (e - pixel * step);
+    bool const backwards = down.mirrored;
+    int const to_stride = int(backwards ? -p.y.row_stride : p.y.row_stride);
+    T* const to = p.y.row(plane0, backwards ? rows.end - 1 : rows.begin) + int64_t(x) * step + e;
+    float const poison = by_output() ? walk_by_taps<true>(from, weights_x + local, to, to_stride)
+                                     : walk_by_taps<false>(from, weights_x + local, to, to_stride);
+    // A tap of weight 0 contributes nothing, even if it is inf or NaN.
+    if (poison != 0) write_exactly(to, to_stride, index_x, p.x.plane(x_plane0) + (e - pixel * step));
+  }
+  template <bool StepsOfOutput>
+  __device__ __forceinline__ float walk_by_taps(T const* from, float const* weights, T* to, int to_stride) const {
+    if (columns.taps == 2 * R) return walk<2 * R, StepsOfOutput>(from, weights, to, to_stride);
+    if (columns.taps == 2 * R + 1) return walk<2 * R + 1, StepsOfOutput>(from, weights, to, to_stride);
+    if (R == 1 && columns.taps == 4) return walk<4, StepsOfOutput>(from, weights, to, to_stride);
+    if (R == 1 && columns.taps == 5) return walk<5, StepsOfOutput>(from, weights, to, to_stride);
+    if (R == 1 && columns.taps == 6) return walk<6, StepsOfOutput>(from, weights, to, to_stride);
+    if (R == 1 && columns.taps == 7) return walk<7, StepsOfOutput>(from, weights, to, to_stride);
+    return walk<0, StepsOfOutput>(from, weights, to, to_stride);
+  }
+  // Goes down the rows of the input, K taps a pixel (0: any number). What is not 0 has met inf or NaN.
+  template <int K, bool StepsOfOutput>
+  __device__ __forceinline__ float walk(T const* from, float const* all_weights, T* to, int to_stride) const {
+    constexpr int D = K == 0 || K > 4 ? 1 : kAhead, N = K > 0 ? K : 1;
+    int const length = rows.length, row_stride = int(p.x.row_stride);
+    float weights[N], poison = 0;
+#pragma unroll
+    for (int n = 0; n < K; ++n) weights[n] = all_weights[n * columns.count];
+    T raw[D][P][N];
+    auto const load = [&](T(&into)[P][N]) {
+#pragma unroll
+      for (int k = 0; k < P; ++k) {
+        T const* const row = from + k * x_plane;
+#pragma unroll
+        for (int n = 0; n < K; ++n) into[k][n] = row[n * step];
+      }
+      from += row_stride;
+    };
+    if constexpr (K > 0) {
+#pragma unroll
+      for (int d = 0; d < D; ++d)
+        if (d < length) load(raw[d]);
+    }
+    auto const store = [&](float const(&sums)[P]) {
+#pragma unroll
+      for (int k = 0; k < P; ++k) to[k * y_plane] = round_to<T>(sums[k]);
+      to += to_stride;
+    };
+    float sums[2 * R][P]{};  // the last rows of the input, or rows of the output that are not complete
+    RowStep<R> const* next = steps;
+    RowStep<R> own = *next;
+#pragma unroll 1
+    for (int r = 0; r < length;) {
+#pragma unroll
+      for (int d = 0; d < D; ++d, ++r) {
+        if (d > 0 && r >= length) break;
+        float h[P]{};
+        if constexpr (K > 0) {
+#pragma unroll
+          for (int k = 0; k < P; ++k)
+#pragma unroll
+            for (int n = 0; n < K; ++n) h[k] += weights[n] * read(raw[d][k][n]);
+          if (r + D < length) load(raw[d]);
+        } else {
+#pragma unroll 4
+          for (int n = 0; n < columns.taps; ++n) {
+            float const weight = all_weights[n * columns.count];
+#pragma unroll
+            for (int k = 0; k < P; ++k) h[k] += weight * read(from[k * x_plane + n * step]);
+          }
+          from += row_stride;
+        }
+        if constexpr (sizeof(T) > 1) {
+#pragma unroll
+          for (int k = 0; k < P; ++k) poison += h[k] * 0;
+        }
+        auto const shift = [&](float const(&last)[P]) {
+#pragma unroll
+          for (int i = 0; i < 2 * R; ++i)
+#pragma unroll
+            for (int k = 0; k < P; ++k) sums[i][k] = i + 1 < 2 * R ? sums[min(i + 1, 2 * R - 1)][k] : last[k];
+        };
+        if constexpr (StepsOfOutput) {
+          shift(h);
+#pragma unroll 1
+          while (own.number == r) {
+            float pixels[P]{};
+#pragma unroll
+            for (int i = 0; i < 2 * R; ++i)
+#pragma unroll
+              for (int k = 0; k < P; ++k) pixels[k] += own.weights[i] * sums[i][k];
+            own = *++next;
+            store(pixels);
+          }
+        } else {
+#pragma unroll
+          for (int i = 0; i < 2 * R; ++i)
+#pragma unroll
+            for (int k = 0; k < P; ++k) sums[i][k] += own.weights[i] * h[k];
+#pragma unroll 1
+          for (; own.number > 0; --own.number) {
+            store(sums[0]);
+            float const zeros[P]{};
+            shift(zeros);
+          }
+          own = *++next;
+        }
+      }
+    }
+    return poison;
+  }
+  __device__ __forceinline__ void write_exactly(T* to, int to_stride, int index_x, T const* source) const {
+#pragma unroll 1
+    for (int i = 0; i < rows.count; ++i, to += to_stride)
+#pragma unroll 1
+      for (int k = 0; k < P; ++k)
+        to[k * y_plane] = round_to<T>(sum_of_taps(p, sample, index_x, rows.low + i, source + k * x_plane));
+  }
+
+  // Clears the pixels of the tile that are not in the window.
+  __device__ __forceinline__ void clear_outside(int e, int pixel) const {
+    if (!is_empty() && columns.count == end_x - x && rows.count == end_y - y) return;
+    if (e >= elements()) return;
+    bool const in_columns = !is_empty() && columns.covers(x + pixel);
+    for (int k = 0; k < P; ++k) {
+      T* const out = p.y.plane(plane0 + k) + int64_t(x) * step + e;
+      for (int row = y; row < end_y; ++row)
+        if (!in_columns || !rows.covers(row)) out[row * p.y.row_stride] = T{};
+    }
+  }
+};
+
 // Block number `block` of the tiles of all samples.
 template <class T, int P, int R>
 __device__ __forceinline__ void resize_tile(ResizeWindows<T> const& p, WindowTiles const& tiles, unsigned block) {
@@ -264,198 +444,39 @@ __device__ __forceinline__ void resize_tile(ResizeWindows<T> const& p, WindowTil
   __shared__ TileAxis tile_axes[2];
   extern __shared__ __align__(16) float memory[];
   WindowAxis* const axes = reinterpret_cast<WindowAxis*>(axes_memory);
-  WindowAxis const &across = axes[0], &down = axes[1];
   int const step = P == 1 ? int(p.x.step) : 1;
 
   unsigned rest = block;
-  int const tile_x = int(rest % tiles.across) * tiles.columns;
+  int const x = int(rest % tiles.across) * tiles.columns;
   rest /= tiles.across;
-  int const tile_y = int(rest % tiles.down) * tiles.rows;
+  int const y = int(rest % tiles.down) * tiles.rows;
   rest /= tiles.down;
   int64_t const sample = rest / tiles.groups, group = rest % tiles.groups * P;
   int64_t const x_plane0 = p.image_of(sample) * p.planes + group, plane0 = sample * p.planes + group;
-  int const end_x = min(tile_x + tiles.columns, int(p.y.width)), end_y = min(tile_y + tiles.rows, int(p.y.height));
-  int const elements = (end_x - tile_x) * step;  // of a row of the tile
+  int const end_x = min(x + tiles.columns, int(p.y.width)), end_y = min(y + tiles.rows, int(p.y.height));
   if (threadIdx.x < 2) {
     int const i = int(threadIdx.x);
     axes[i] = {p.window(sample, i), p.filter, p.result(i), p.align_corners, p.backward};
-    tile_axes[i].init(axes[i], i ? tile_y : tile_x, i ? end_y : end_x);
+    tile_axes[i].init(axes[i], i ? y : x, i ? end_y : end_x);
   }
   __syncthreads();
-  TileAxis const &columns = tile_axes[0], &rows = tile_axes[1];
-  bool const is_empty = columns.count == 0 || rows.count == 0;
-  int const e = int(threadIdx.x), pixel = step == 1 ? e : e / step;
+  RowStep<R>* const steps = reinterpret_cast<RowStep<R>*>(memory);
+  float* const weights_x = reinterpret_cast<float*>(steps + tiles.steps);
+  int* const first_x = reinterpret_cast<int*>(weights_x + tiles.weights);
+  T const* const origin = p.x.plane(x_plane0) + int64_t(axes[1].in_first() + tile_axes[1].from) * p.x.row_stride +
+                          int64_t(axes[0].in_first() + tile_axes[0].from) * step;
   int const x_plane = P > 1 ? int(p.x.plane(x_plane0 + 1) - p.x.plane(x_plane0)) : 0;
   int const y_plane = P > 1 ? int(p.y.plane(plane0 + 1) - p.y.plane(plane0)) : 0;
-  if (!is_empty) {
-    RowStep<R>* const steps = reinterpret_cast<RowStep<R>*>(memory);
-    float* const weights_x = reinterpret_cast<float*>(steps + tiles.steps);
-    int* const first_x = reinterpret_cast<int*>(weights_x + tiles.weights);
-    float* const norms_x = reinterpret_cast<float*>(first_x + tiles.columns);
-    float* const norms_y = norms_x + columns.length;
-    bool const by_output = rows.taps <= 2 * R;
-    int const threads = int(blockDim.x), from_last = threads - 1 - int(threadIdx.x);  // the last ones begin with rows
-
-    // The rows of the tile are on their way to the L2 cache while the weights are computed.
-    T const* const origin = p.x.plane(x_plane0) + int64_t(down.in_first() + rows.from) * p.x.row_stride +
-                            int64_t(across.in_first() + columns.from) * step;
-    int const lines = (columns.length * step * int(sizeof(T)) + 254) / 128;
-    for (int t = int(threadIdx.x); t < lines * rows.length * P; t += threads) {
-      int const row = t / lines, line = t - row * lines;
-      int const k = P == 1 ? 0 : row % P, r = P == 1 ? row : row / P;
-      auto const* const at = reinterpret_cast<char const*>(origin + k * x_plane + r * p.x.row_stride) +
-                             min(128 * line, columns.length * step * int(sizeof(T)) - 1);
-      asm volatile("prefetch.global.L2 [%0];" ::"l"(at));
-    }
-    if (p.backward) {
-      write_norms(across, columns, norms_x, int(threadIdx.x), threads);
-      write_norms(down, rows, norms_y, from_last, threads);
-    }
-    if (!by_output)
-      for (int t = int(threadIdx.x); t < rows.length; t += threads) steps[t] = {};
-    if (p.backward || !by_output) __syncthreads();
-    write_weights(across, columns, norms_x, weights_x, first_x, int(threadIdx.x), threads);
-    write_steps(down, rows, norms_y, steps, from_last, threads);
-    __syncthreads();
-
-    if (e < elements && columns.covers(tile_x + pixel)) {
-      int const index_x = across.index_of(tile_x + pixel), local = index_x - columns.low;
-      float const* const all_weights = weights_x + local;
-      T const* from = origin + first_x[local] * step + (e - pixel * step);
-      bool const backwards = down.mirrored;
-      int const y = backwards ? rows.end - 1 : rows.begin;
-      int const to_stride = int(backwards ? -p.y.row_stride : p.y.row_stride);
-      T* to = p.y.row(plane0, y) + int64_t(tile_x) * step + e;
-      T* const first_to = to;
-      auto const store = [&](float const(&sums)[P]) {
-#pragma unroll
-        for (int k = 0; k < P; ++k) to[k * y_plane] = round_to<T>(sums[k]);
-        to += to_stride;
-      };
-      float poison = 0;
-      auto const walk = [&](auto most, auto steps_of_output) {
-        constexpr int K = decltype(most)::value, D = K == 0 || K > 4 ? 1 : kAhead;
-        int const length = rows.length, row_stride = int(p.x.row_stride);
-        float weights[K > 0 ? K : 1];
-#pragma unroll
-        for (int n = 0; n < K; ++n) weights[n] = all_weights[n * columns.count];
-        T raw[D][P][K > 0 ? K : 1];
-        auto const load = [&](T(&into)[P][K > 0 ? K : 1]) {
-#pragma unroll
-          for (int k = 0; k < P; ++k) {
-            T const* const row = from + k * x_plane;
-#pragma unroll
-            for (int n = 0; n < K; ++n) into[k][n] = row[n * step];
-          }
-          from += row_stride;
-        };
-        if constexpr (K > 0) {
-#pragma unroll
-          for (int d = 0; d < D; ++d)
-            if (d < length) load(raw[d]);
-        }
-        float sums[2 * R][P]{};  // the last rows of the input, or rows of the output that are not complete
-        RowStep<R> const* next = steps;
-        RowStep<R> own = *next;
-#pragma unroll 1
-        for (int r = 0; r < length;) {
-#pragma unroll
-          for (int d = 0; d < D; ++d, ++r) {
-            if (d > 0 && r >= length) break;
-            float h[P]{};
-            if constexpr (K > 0) {
-#pragma unroll
-              for (int k = 0; k < P; ++k)
-#pragma unroll
-                for (int n = 0; n < K; ++n) h[k] += weights[n] * read(raw[d][k][n]);
-              if (r + D < length) load(raw[d]);
-            } else {
-#pragma unroll 4
-              for (int n = 0; n < columns.taps; ++n) {
-                float const weight = all_weights[n * columns.count];
-#pragma unroll
-                for (int k = 0; k < P; ++k) h[k] += weight * read(from[k * x_plane + n * step]);
-              }
-              from += row_stride;
-            }
-            if constexpr (sizeof(T) > 1) {
-#pragma unroll
-              for (int k = 0; k < P; ++k) poison += h[k] * 0;
-            }
-            auto const shift = [&](float const(&last)[P]) {
-#pragma unroll
-              for (int i = 0; i < 2 * R; ++i)
-#pragma unroll
-                for (int k = 0; k < P; ++k) sums[i][k] = i + 1 < 2 * R ? sums[min(i + 1, 2 * R - 1)][k] : last[k];
-            };
-            if constexpr (decltype(steps_of_output)::value) {
-              shift(h);
-#pragma unroll 1
-              while (own.number == r) {
-                float pixels[P]{};
-#pragma unroll
-                for (int i = 0; i < 2 * R; ++i)
-#pragma unroll
-                  for (int k = 0; k < P; ++k) pixels[k] += own.weights[i] * sums[i][k];
-                own = *++next;
-                store(pixels);
-              }
-            } else {
-#pragma unroll
-              for (int i = 0; i < 2 * R; ++i)
-#pragma unroll
-                for (int k = 0; k < P; ++k) sums[i][k] += own.weights[i] * h[k];
-#pragma unroll 1
-              for (; own.number > 0; --own.number) {
-                store(sums[0]);
-                float const zeros[P]{};
-                shift(zeros);
-              }
-              own = *++next;
-            }
-          }
-        }
-      };
-      auto const with_taps = [&](auto steps_of_output) {
-        if (columns.taps == 2 * R)
-          walk(std::integral_constant<int, 2 * R>{}, steps_of_output);
-        else if (columns.taps == 2 * R + 1)
-          walk(std::integral_constant<int, 2 * R + 1>{}, steps_of_output);
-        else if (R == 1 && columns.taps == 4)
-          walk(std::integral_constant<int, 4>{}, steps_of_output);
-        else if (R == 1 && columns.taps == 5)
-          walk(std::integral_constant<int, 5>{}, steps_of_output);
-        else if (R == 1 && columns.taps == 6)
-          walk(std::integral_constant<int, 6>{}, steps_of_output);
-        else if (R == 1 && columns.taps == 7)
-          walk(std::integral_constant<int, 7>{}, steps_of_output);
-        else
-          walk(std::integral_constant<int, 0>{}, steps_of_output);
-      };
-      by_output ? with_taps(std::true_type{}) : with_taps(std::false_type{});
-      // A tap of weight 0 contributes nothing, even if it is inf or NaN.
-      if (poison != 0) {
-        to = first_to;
-        T const* const source = p.x.plane(x_plane0) + (e - pixel * step);
-#pragma unroll 1
-        for (int i = 0; i < rows.count; ++i, to += to_stride)
-#pragma unroll 1
-          for (int k = 0; k < P; ++k)
-            to[k * y_plane] = round_to<T>(sum_of_taps(p, sample, index_x, rows.low + i, source + k * x_plane));
-      }
-    }
+  WindowTile<T, P, R> const tile{p,       axes[0], axes[1], tile_axes[0], tile_axes[1], x,      y,
+                                 end_x,   end_y,   step,    sample,       x_plane0,     plane0, x_plane,
+                                 y_plane, origin,  steps,   weights_x,    first_x};
+  int const e = int(threadIdx.x), pixel = step == 1 ? e : e / step;
+  if (!tile.is_empty()) {
+    tile.prefetch();
+    tile.write_tables(reinterpret_cast<float*>(first_x + tiles.columns));
+    if (e < tile.elements() && tile.columns.covers(x + pixel)) tile.write_column(e, pixel);
   }
-  if (!p.backward) return;
-
-  // The pixels of the tile that are not in the window.
-  if (!is_empty && columns.count == end_x - tile_x && rows.count == end_y - tile_y) return;
-  if (e >= elements) return;
-  bool const in_columns = !is_empty && columns.covers(tile_x + pixel);
-  for (int k = 0; k < P; ++k) {
-    T* const out = p.y.plane(plane0 + k) + int64_t(tile_x) * step + e;
-    for (int y = tile_y; y < end_y; ++y)
-      if (!in_columns || !rows.covers(y)) out[y * p.y.row_stride] = T{};
-  }
+  if (p.backward) tile.clear_outside(e, pixel);
 }
 
 // --- any types and sizes: one thread an element, the weights computed as they are needed -----------------------------

@@ -201,6 +201,26 @@ def test_the_worst_ratio_of_a_case_is_listed():
     assert [(r.dtype, r.size, r.factor) for r in worst] == [("float16", "2x3x8x15", 3.0), ("float32", "2x3x9x17", 1.4)]
 
 
+def test_the_table_of_common_operators_has_means_by_type_and_size():
+    cost, small, large = awkward.Cost, (17, 15), (16, 32)
+    measured = [
+        cost("sobel", "float32", small, 2.0), cost("gray", "float32", small, 8.0), cost("copy", "float32", small, 1.1),
+        cost("sobel", "float32", large, 3.0), cost("gray", "float32", large, None, "no such type"),
+    ]  # fmt: skip
+    table = [line.split() for line in awkward.lines(measured)]
+    assert table[0] == ["17x15", "16x32"]
+    assert ["gray", "float32", "8.00", "-"] in table and ["copy", "float32", "1.10", "-"] in table
+    assert table[-1] == ["geometric", "mean", "float32", "4.00", "3.00"]  # without the copy
+
+
+def test_the_table_of_common_operators_measures_bytes_and_a_part(capsys):
+    options = ["gray", "copy", "--device", "cpu", "--types", "float16", "uint8", "--sizes", "17x15", "--pixels", "300"]
+    assert awkward.main([*options, "--seconds", "0.001"]) == 0
+    assert capsys.readouterr().out.count("uint8") >= 3
+    assert awkward.main([*options, "--seconds", "0.001", "--limit", "0"]) == 0
+    assert "(stopped by --limit)" in capsys.readouterr().out
+
+
 @pytest.mark.slow
 def test_command_line_measures_awkward_sizes_and_their_neighbors(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(awkward, "SHAPES", ((17, 15),))

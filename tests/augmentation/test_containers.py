@@ -223,6 +223,18 @@ def test_random_apply() -> None:
         A.ImageSequential(*children, random_apply_weights=[1.0])
 
 
+@pytest.mark.parametrize("views", [A.TenCrop(4), A.MultiCrop(4, 2)], ids=["TenCrop", "MultiCrop"])
+def test_children_return_one_tensor(views):
+    message = f"expected children that return a tensor of images, got a (tuple|list) from {type(views).__name__}"
+    for container in (
+        A.ImageSequential(views),
+        A.ImageSequential(nn.Identity(), views),
+        A.AugmentationSequential(views),
+    ):
+        with pytest.raises(TypeError, match=message):
+            container(torch.rand(2, 3, 8, 8))
+
+
 @pytest.mark.parametrize(
     "make",
     [

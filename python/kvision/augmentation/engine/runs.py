@@ -193,6 +193,9 @@ def _execute_alone(x: Tensor, child: Child, context: CallContext, position: int)
         return y, stage
     if not hasattr(module, "_contribution"):
         y = module(x)
+        if not isinstance(y, Tensor):  # as the views of TenCrop
+            expected = f"{context.op}: expected children that return a tensor of images"
+            raise TypeError(f"{expected}, got a {type(y).__name__} from {type(module).__name__}; call it on the result")
         child.foreign_params = getattr(module, "_params", None)
         return y, Stage()
     masks = [] if context.labels is None else context.labels.masks()
@@ -216,13 +219,13 @@ def runs_of(children: Sequence[Child], plans: Plans) -> list[tuple[Sequence[Chil
     """Split children into augmentations that draw together, with True, and what runs by itself."""
     key = ("runs", *[(id(child.module), child.params is None) for child in children])
     runs, first = [], 0
-    for length, is_joined in plans.made(key, lambda: _lengths_ofruns_of(children)):
+    for length, is_joined in plans.made(key, lambda: _lengths_of_runs(children)):
         runs.append((children[first : first + length], is_joined))
         first += length
     return runs
 
 
-def _lengths_ofruns_of(children: Sequence[Child]) -> list[tuple[int, bool]]:
+def _lengths_of_runs(children: Sequence[Child]) -> list[tuple[int, bool]]:
     lengths: list[tuple[int, bool]] = []
     before: Child | None = None
     for child in children:

@@ -50,7 +50,7 @@ def busy(core: int) -> Iterator[None]:
             process.kill()
 
 
-def beside_busy_core(names: Sequence[str], sizes: Sequence[Sequence[int]], rounds: int = 4, calls: int = 15) -> None:
+def beside_busy_core(names: Sequence[str], sizes: Sequence[tuple[int, ...]], rounds: int = 4, calls: int = 15) -> None:
     """A line of CSV for each case of less than 1 ms: on one thread of idle cores, and on two with one core busy."""
     cores = sorted(os.sched_getaffinity(0))[:2]
     os.sched_setaffinity(0, cores)

@@ -1,4 +1,4 @@
-// Fills a tensor with a number in device memory, on CUDA. Included by broadcast_scalar.cu and warp_and_color_op.cpp.
+// Fills a tensor with a number in device memory, on CUDA.
 #pragma once
 
 #include "core/isa.h"

@@ -1,5 +1,4 @@
-// Random parameters, and the matrices of the chain of transforms that reads them, in one launch on CUDA. Included by
-// draw_warp_and_color.cu and draw_warp_and_color_op.cpp.
+// Random parameters, and the matrices of the chain of transforms that reads them, in one launch on CUDA.
 #pragma once
 
 #include "augmentation/draws.h"

@@ -1,5 +1,5 @@
 // Operators that draw parameters and use them at once: their plans, and the draws with the first chain of transforms
-// that reads them. Included by draw_warp_and_color_op.cpp and draw_links_op.cpp.
+// that reads them.
 #pragma once
 
 #include "augmentation/draw_warp_and_color.h"

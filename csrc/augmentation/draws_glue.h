@@ -1,4 +1,4 @@
-// Random parameters for the entries of operators. Included by draws_op.cpp and draw_warp_and_color_op.cpp.
+// Random parameters for the entries of operators.
 #pragma once
 
 #include <algorithm>

@@ -4,7 +4,7 @@
 //
 // with noise of 0 out of bounds. The noise is an argument, or it is drawn by the rule of noise.h. The CPU, and CUDA
 // where this kernel does not support the arguments, run the kernels of noise.h and filters/separable.h one after the
-// other. Included by elastic.cu and elastic_op.cpp.
+// other.
 #pragma once
 
 #include "augmentation/noise.h"

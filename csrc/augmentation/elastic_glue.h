@@ -1,4 +1,4 @@
-// Displacements of elastic transforms for the entries of operators. Included by elastic_op.cpp and draw_links_op.cpp.
+// Displacements of elastic transforms for the entries of operators.
 #pragma once
 
 #include "augmentation/elastic.h"

@@ -1,5 +1,5 @@
 // Sets parts of images to a value: rectangles, x <= column < x + width and y <= row < y + height for pixels at whole
-// numbers, or the lines of grids. Included by erase_cpu.cpp, erase.cu and erase_op.cpp.
+// numbers, or the lines of grids.
 #pragma once
 
 #include "core/isa.h"

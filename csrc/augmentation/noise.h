@@ -1,6 +1,6 @@
 // Noise of images, a function of a key, the sample and the pixel: normal and uniform noise, and salt and pepper.
 // noise.py of kvision.augmentation defines them. The words of a pixel are those of the
-// block at its position / 4 in the plane. Included by noise_cpu.cpp, noise.cu and noise_op.cpp.
+// block at its position / 4 in the plane.
 #pragma once
 
 #include "augmentation/draws.h"

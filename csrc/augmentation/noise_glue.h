@@ -1,4 +1,4 @@
-// Checks of arguments that operators with noise have in common. Included by noise_op.cpp and elastic_glue.h.
+// Checks of arguments that operators with noise have in common.
 #pragma once
 
 #include <span>

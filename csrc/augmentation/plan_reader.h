@@ -1,5 +1,4 @@
 // Reads the plans of operators that run several things: integers, in which lists begin with their lengths, and numbers.
-// Included by warp_and_color_op.cpp and drawn_glue.h.
 #pragma once
 
 #include "augmentation/transforms_glue.h"

@@ -1,6 +1,5 @@
 // The matrix of a chain of geometric transforms, from columns of parameters; transforms.py of kvision.augmentation says
 // what the inputs of each kind are. The gradient evaluates the chain on Duals, a column at a time.
-// Included by transforms_cpu.cpp, transforms.cu and transforms_op.cpp.
 #pragma once
 
 #include "core/isa.h"

@@ -1,4 +1,4 @@
-// Chains of transforms for the entries of operators. Included by transforms_op.cpp and warp_and_color_op.cpp.
+// Chains of transforms for the entries of operators.
 #pragma once
 
 #include <span>

@@ -1,6 +1,6 @@
 // A warp by a matrix and a program of color steps in one pass over memory. On the CPU both halves are those of
 // geometry/transform/warp and color/program, on bands of rows that stay in the cache. On CUDA a kernel joins bilinear
-// warps that map rows to rows with their programs. Included by warp_and_color_cpu.cpp, .cu and warp_and_color_op.cpp.
+// warps that map rows to rows with their programs.
 #pragma once
 
 #include "color/program.h"

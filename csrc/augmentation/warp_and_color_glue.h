@@ -1,5 +1,4 @@
-// Runs a pass over images: a warp and a program of color steps. Included by warp_and_color_op.cpp,
-// draw_warp_and_color_op.cpp and operations_op.cpp.
+// Runs a pass over images: a warp and a program of color steps.
 #pragma once
 
 #include "glue/image_list.h"

@@ -1,6 +1,5 @@
 // The gradient of the image through a bilinear warp that maps rows to rows, as crops, flips and resizing do, on CUDA.
-// Other warps, and all warps on the CPU, take geometry::sample_image_backward. Included by warp_rows_backward.cu and
-// warp_and_color_op.cpp.
+// Other warps, and all warps on the CPU, take geometry::sample_image_backward.
 #pragma once
 
 #include "core/isa.h"

@@ -1,5 +1,4 @@
-// Colormaps: every pixel of a channel becomes a color of a table. Included by colormap_cpu.cpp, colormap.cu and
-// colormap_op.cpp.
+// Colormaps: every pixel of a channel becomes a color of a table.
 #pragma once
 
 #include "core/isa.h"

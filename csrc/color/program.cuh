@@ -1,6 +1,6 @@
-// Color programs on CUDA. Included by program_forward.cuh and program_backward.cuh. A thread keeps P pixels in
-// registers from step to step. All threads of a block work on one sample, so that they read the same step at a time.
-// Storage types are converted on loading and storing, by vectors of up to 16 bytes if the memory is aligned.
+// Color programs on CUDA. A thread keeps P pixels in registers from step to step. All threads of a block work on one
+// sample, so that they read the same step at a time. Storage types are converted on loading and storing, by vectors of
+// up to 16 bytes if the memory is aligned.
 #pragma once
 
 #include <initializer_list>

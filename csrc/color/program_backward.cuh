@@ -1,6 +1,5 @@
-// The backward kernel of color programs on CUDA. Included by program_backward.cu and program_double.cu. The input of
-// each step is computed again and kept by the thread. The input of the last step is still in registers, so a program of
-// one step keeps nothing.
+// The backward kernel of color programs on CUDA. The input of each step is computed again and kept by the thread. The
+// input of the last step is still in registers, so a program of one step keeps nothing.
 //
 // Contrast around a mean takes two runs. The first one computes the gradient of the contrast's result and sums that of
 // the mean. It stores the former in the result, if it can, and the second run begins there.

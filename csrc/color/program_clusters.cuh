@@ -1,5 +1,4 @@
-// Color programs around a mean in one launch: what the blocks of a cluster do, which have a sample. Included by
-// program_clusters.cu and lists/program_list.cu.
+// Color programs around a mean in one launch: what the blocks of a cluster do, which have a sample.
 #pragma once
 
 #include "core/cluster.cuh"

@@ -1,5 +1,4 @@
-// Color programs around a mean in one launch instead of two runs, on GPUs with clusters. Included by program_glue.h and
-// program_clusters.cu.
+// Color programs around a mean in one launch instead of two runs, on GPUs with clusters.
 #pragma once
 
 #include "program.h"

@@ -1,5 +1,4 @@
-// The forward kernel of color programs on CUDA, which also computes means. Included by program.cu and
-// program_double.cu.
+// The forward kernel of color programs on CUDA, which also computes means.
 #pragma once
 
 #include "program.cuh"

@@ -1,4 +1,4 @@
-// Bilinear demosaicing of Bayer images. Included by raw_cpu.cpp, raw.cu and raw_op.cpp.
+// Bilinear demosaicing of Bayer images.
 //
 // A row has green pixels and pixels of one other color, red or blue, called the row's color. The rows above and below
 // have green and the opposite color, also at the border, which reflects the mosaic.

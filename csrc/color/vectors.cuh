@@ -1,4 +1,4 @@
-// Launches of kernels whose threads process vectors of adjacent pixels of a row. Included by raw.cu and yuv.cu.
+// Launches of kernels whose threads process vectors of adjacent pixels of a row.
 #pragma once
 
 #include "core/launch.cuh"

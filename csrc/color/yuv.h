@@ -1,5 +1,4 @@
-// YUV 4:2:2 and 4:2:0: colors whose chroma is common to a cell of one or two rows of two pixels. Included by
-// yuv_cpu.cpp, yuv.cu and yuv_op.cpp.
+// YUV 4:2:2 and 4:2:0: colors whose chroma is common to a cell of one or two rows of two pixels.
 //
 // split_chroma computes the luma of a pixel's color c as m[0] . c, and the chroma of the sum s of the colors in a cell
 // as m[1] . s and m[2] . s. join_chroma computes the color of a pixel from its luma and the chroma of its cell. Each is

@@ -1,6 +1,6 @@
 // Connected components of masks, 8-connected: each pixel that is 1 gets 1 + the index of its component's first pixel in
 // the plane, all others 0. Union-find runs in the labels themselves: the label of a pixel is its parent, a pixel of the
-// component that is not later; a root is its own parent. Included by connected_components_cpu.cpp, .cu and _op.cpp.
+// component that is not later; a root is its own parent.
 #pragma once
 
 #include "core/isa.h"

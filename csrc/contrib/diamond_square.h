@@ -1,5 +1,4 @@
 // One step of the diamond-square algorithm, which puts a pixel between any two. contrib/diamond_square.py defines it.
-// Included by diamond_square_cpu.cpp, diamond_square.cu and diamond_square_op.cpp.
 //
 //   a . b      The center of four pixels gets their mean, mixed with noise; then an edge . gets the mean of its four
 //   . o .      neighbors, two pixels and two centers, or of three at the border, mixed with noise.

@@ -1,6 +1,6 @@
 // The exact distance transform: the squared distance along the last axis, then along each axis before it as the lower
 // envelope of the parabolas squared(i) + (q - i)^2 (Felzenszwalb, Huttenlocher 2012), in integers, without a division.
-// A line of n pixels takes O(n). Included by distance_exact_cpu.cpp, distance_exact.cu and distance_exact_op.cpp.
+// A line of n pixels takes O(n).
 #pragma once
 
 #include <cmath>

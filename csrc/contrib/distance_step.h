@@ -1,5 +1,5 @@
 // A step of the approximate distance transform: pixels that the window around a source reaches get their distance and
-// become sources. Included by distance_step_cpu.cpp, distance_step.cu and distance_step_op.cpp.
+// become sources.
 #pragma once
 
 #include "core/isa.h"

@@ -1,5 +1,5 @@
 // Extraction of windows of images to a tensor (B, N, C, height, width), row by row, with zeros out of bounds; and its
-// transpose, the sum of all patches at their positions. Included by patches_cpu.cpp, patches.cu and patches_op.cpp.
+// transpose, the sum of all patches at their positions.
 #pragma once
 
 #include "core/isa.h"

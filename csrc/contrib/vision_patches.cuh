@@ -1,5 +1,4 @@
-// What both kernels of vision_patches share: which image a block works on, and its axes. Included by vision_patches.cu
-// and vision_patches_bytes.cu.
+// What both kernels of vision_patches share: which image a block works on, and its axes.
 #pragma once
 
 #include "contrib/vision_patches.h"

@@ -1,5 +1,5 @@
 // How planes are split into blocks of threads that traverse columns downwards, and which part of a plane a block has.
-// Adjacent blocks overlap by the reach of their windows. Included by feature/responses.cuh and metrics/ssim.cu.
+// Adjacent blocks overlap by the reach of their windows.
 #pragma once
 
 #include "core/launch.cuh"

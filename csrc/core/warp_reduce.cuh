@@ -1,4 +1,4 @@
-// Reductions over the threads of a warp. Included by launch.cuh and geometry/thread_group.h.
+// Reductions over the threads of a warp.
 #pragma once
 
 #include <cuda_runtime.h>

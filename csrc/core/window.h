@@ -1,5 +1,4 @@
-// The window of an image that a matrix maps to the result, in whole pixels, along one axis. Included by
-// geometry/transform/resize/resize_windows.h and color/frames/frames.h.
+// The window of an image that a matrix maps to the result, in whole pixels, along one axis.
 #pragma once
 
 #include "hd.h"

@@ -1,5 +1,5 @@
 // Parameters of add_weighted, alpha x + beta y + gamma. A weight is a number, or a tensor with one value per image or
-// per channel. Included by add_weighted_cpu.cpp, add_weighted.cu and add_weighted_op.cpp.
+// per channel.
 #pragma once
 
 #include "core/isa.h"

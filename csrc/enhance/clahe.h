@@ -1,6 +1,5 @@
 // Contrast-limited adaptive histogram equalization in two steps: a table from level to level for every tile of a plane,
-// then an interpolation of every pixel between the tables of the four nearest tiles. Included by clahe_cpu.cpp,
-// clahe.cu and clahe_op.cpp.
+// then an interpolation of every pixel between the tables of the four nearest tiles.
 //
 //   +---+---+---+   Tiles, and the cells between their centers. All pixels of a cell use the same four tables.
 //   | o-|-o-|-o |   Either axis has one cell more than it has tiles. In cells along the border, two of the

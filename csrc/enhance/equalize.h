@@ -1,4 +1,4 @@
-// Histogram equalization of whole planes. Included by equalize_cpu.cpp, equalize.cu and equalize_op.cpp.
+// Histogram equalization of whole planes.
 #pragma once
 
 #include "byte_histogram.h"

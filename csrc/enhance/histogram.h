@@ -1,5 +1,4 @@
-// Sums of Gaussians: a smooth count of a row's samples at each center. Included by histogram_cpu.cpp, histogram.cu and
-// histogram_op.cpp.
+// Sums of Gaussians: a smooth count of a row's samples at each center.
 //
 // Samples times centers would be too many exponentials, so float samples are first binned into cells of at most an
 // eighth of the bandwidth. A cell keeps four moments: the number of its samples, and the sums of t, t^2 and t^3, where

@@ -1,6 +1,5 @@
 // Histograms whose kernel reaches exactly one bandwidth, the distance of the bins: a sample between the centers of two
-// bins counts for these two only. Included by image_histogram2d_cpu.cpp, image_histogram2d.cu and
-// image_histogram2d_op.cpp.
+// bins counts for these two only.
 #pragma once
 
 #include "core/isa.h"

@@ -1,4 +1,4 @@
-// The differentiable JPEG approximation. Included by jpeg_cpu.cpp, jpeg.cu and jpeg_op.cpp.
+// The differentiable JPEG approximation.
 //
 //   rgb --> luma -------------------------------> blocks --> luma --------------> rgb
 //       \-> chroma --> downsampled on both axes > blocks --> chroma, upsampled /

@@ -1,5 +1,4 @@
 // Min-max normalization of every plane and its gradient, in two passes: the first reduces a plane, the second maps it.
-// Included by min_max_cpu.cpp, min_max.cu and min_max_op.cpp.
 #pragma once
 
 #include "core/isa.h"

@@ -4,7 +4,7 @@
 //   y = clip(x + (x - s) (f - 1))   s = | 1 5 1 | x / 13, clipped
 //                                      | 1 1 1 |
 //
-// The border, one pixel wide, is only clipped. Included by sharpness_cpu.cpp, sharpness.cu and sharpness_op.cpp.
+// The border, one pixel wide, is only clipped.
 #pragma once
 
 #include "core/ceil_div.h"

@@ -3,8 +3,7 @@
 //   a = mean (w gx)^2     b = mean w^2 gx gy     c = mean (w gy)^2     Sobel; w: Gaussian of sigma n / sqrt 2 and sum 1
 //
 // If two of |a|, |b|, |c| are at most eps, the patch is flat or has one direction along an axis; it gives the circle
-// (1, 0, 1), which does not depend on the patch. Included by affine_shape_cpu.cpp, affine_shape.cu and
-// affine_shape_op.cpp.
+// (1, 0, 1), which does not depend on the patch.
 #pragma once
 
 #include "core/isa.h"

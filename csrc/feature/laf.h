@@ -1,5 +1,4 @@
-// Local affine frames [A | c], 2 x 3: formulas of kvision.feature.laf, and of detectors. Included by
-// geometry/formulas.h.
+// Local affine frames [A | c], 2 x 3: formulas of kvision.feature.laf, and of detectors.
 //
 //   x = a11 a12 cx a21 a22 cy, the numbers of a frame
 //

@@ -10,8 +10,7 @@
 // Distances are computed in tiles and never stored. A tile leaves the two smallest of its rows and columns; another
 // kernel merges those of all tiles. Squares are sums of squared differences, so that equal descriptors have distance 0.
 // Equal distances are ordered by index, so the results do not depend on the tiles. Distances that are NaN
-// do not count: a descriptor with NaN has no neighbors and is no neighbor. Included by matching_cpu.cpp,
-// matching.cu and matching_op.cpp.
+// do not count: a descriptor with NaN has no neighbors and is no neighbor.
 #pragma once
 
 #include "core/hd.h"

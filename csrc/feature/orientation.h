@@ -11,8 +11,6 @@
 //
 // Further angles of a patch are those of the next largest local maxima of the histogram that are at least `threshold`
 // times the largest bin. Where there are fewer of them, the first angle is repeated.
-//
-// Included by orientation_cpu.cpp, orientation.cu and orientation_op.cpp.
 #pragma once
 
 #include "core/isa.h"

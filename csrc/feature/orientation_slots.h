@@ -1,7 +1,6 @@
 // Frames rotated by the orientations of their patches, one slot for each orientation. Frames and the orientations of
 // each frame keep their order, and the first `count` of a sample are kept. An angle that repeats the first one of its
-// frame is not an orientation. Included by orientation_slots_cpu.cpp, orientation_slots.cu and
-// orientation_slots_op.cpp.
+// frame is not an orientation.
 #pragma once
 
 #include "core/isa.h"

@@ -7,7 +7,7 @@
 // from the coarsest level of the pyramid whose pixels are no farther apart than the samples of a patch of `window` x
 // `window`: the largest l with window 2^l <= 2 sqrt|det A|. Pixel x of the image is (x + 1/2) w_l / w - 1/2 on a level
 // of width w_l. A pyramid is one plane for each channel, which has the levels one after the other. A frame that is not
-// finite gives a patch of zeros. Included by patches_cpu.cpp, patches.cu and patches_op.cpp.
+// finite gives a patch of zeros.
 #pragma once
 
 #include "core/isa.h"

@@ -1,6 +1,6 @@
 // Shared code of the responses of corners and blobs on CUDA: blocks of columns, loads and stores, and rows in shared
 // memory that include the pixels out of bounds that windows read. Only loads and stores depend on dtype and layout,
-// which are therefore run-time arguments. Included by responses*.cu.
+// which are therefore run-time arguments.
 #pragma once
 
 #include "core/column_grid.cuh"

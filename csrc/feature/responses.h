@@ -7,8 +7,7 @@
 //
 // The derivatives have the border kDerivativeBorder, and the windows the reflect border. W, the sum in a window along
 // an axis, is not symmetric at the ends, but D W is, where D halves the two ends. The transpose of W is therefore D W
-// D^-1, so the gradient uses the windows of the response. Included by responses_cpu.cpp, responses*.cu,
-// responses_op.cpp and scale_space/hessian.h.
+// D^-1, so the gradient uses the windows of the response.
 #pragma once
 
 #include "core/border.h"

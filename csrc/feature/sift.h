@@ -11,7 +11,7 @@
 //
 // The descriptor is h over its length, clipped from above, over its length again; RootSIFT takes the square roots of
 // its fractions of the sum (R. Arandjelovic and A. Zisserman, "Three things everyone should know to improve object
-// retrieval", 2012). Included by sift_cpu.cpp, sift.cu and sift_op.cpp.
+// retrieval", 2012).
 #pragma once
 
 #include "core/isa.h"

@@ -1,5 +1,4 @@
-// Tiles of an image in shared memory, for kernels that read each pixel many times. Included by filter2d.cu and
-// filter2d_kernel_backward.cu.
+// Tiles of an image in shared memory, for kernels that read each pixel many times.
 #pragma once
 
 #include "core/launch.cuh"

@@ -3,7 +3,7 @@
 //   y(r, c) = alpha * sum over i, j of ky[i] kx[j] x(r - before_y + i, c - before_x + j) + beta * x(r, c)
 //
 // filter2d_separable takes the weights from memory, gaussian_blur2d computes them from sigma, and unsharp_mask is a
-// Gaussian with alpha = -1, beta = 2. Included by separable_cpu.cpp, separable_glue.h, box.cu and separable*.cu.
+// Gaussian with alpha = -1, beta = 2.
 //
 // The transpose has the same form. Let w be the weights along one axis of n pixels. Let `full` be the filter with w
 // reversed, over a gradient that is 0 out of bounds, at all positions that the forward pass reads, -front ... n - 1 +

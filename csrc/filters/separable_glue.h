@@ -1,5 +1,4 @@
-// Shared by the entries of filter2d_separable, gaussian_blur2d and unsharp_mask. Included by separable_op.cpp,
-// gaussian_op.cpp and unsharp_op.cpp.
+// Shared by the entries of filter2d_separable, gaussian_blur2d and unsharp_mask.
 #pragma once
 
 #include "glue/glue.h"

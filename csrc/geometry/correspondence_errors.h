@@ -9,8 +9,7 @@
 //   sampson_transfer     the squared distance of both points from the nearest exact correspondence, to first order
 //   segments             the mean distance of a mapped segment's ends from the line of the other segment
 //
-// Computes in double. Sums over correspondences are those of chunks, then of all chunks. Included by
-// correspondence_errors_cpu.cpp, correspondence_errors.cu and correspondence_errors_op.cpp.
+// Computes in double. Sums over correspondences are those of chunks, then of all chunks.
 #pragma once
 
 #include "core/isa.h"

@@ -1,4 +1,4 @@
-// Arguments of formulas, checked. Included by formula_op.cpp and transform/sampling_glue.h.
+// Arguments of formulas, checked.
 #pragma once
 
 #include <span>

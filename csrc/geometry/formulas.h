@@ -1,7 +1,6 @@
 // The list of all formulas (formula.h), each with the name and the arguments of its operator. The Python references in
 // python/kvision/geometry/{conversions,liegroup,linalg,quaternion,transform,epipolar,solvers} and
-// python/kvision/feature define what each computes. Included by formula.cuh, formula_cpu.h, formula_glue.h and
-// transform/matrix_formula.cuh.
+// python/kvision/feature define what each computes.
 #pragma once
 
 #include "feature/laf.h"

@@ -1,5 +1,5 @@
 // Rigid transformations of space, (4, 4) matrices whose last row is assumed to be 0 0 0 1: formulas of
-// kvision.geometry.linalg. Included by formulas.h.
+// kvision.geometry.linalg.
 #pragma once
 
 #include "geometry/formula.h"

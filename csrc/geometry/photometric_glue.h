@@ -1,4 +1,4 @@
-// Shared code of the photometric operators. Included by transform/photometric_op.cpp and depth/photometric_op.cpp.
+// Shared code of the photometric operators.
 #pragma once
 
 #include "geometry/transform/photometric.h"

@@ -1,4 +1,4 @@
-// The product of quaternions: formula of kvision.geometry.quaternion. Included by formulas.h.
+// The product of quaternions: formula of kvision.geometry.quaternion.
 #pragma once
 
 #include "geometry/formula.h"

@@ -14,7 +14,7 @@
 //
 // select_inliers finds the inliers of the final model of each pair.
 //
-// An error that is NaN is no inlier. Included by ransac_cpu.cpp, ransac.cu and ransac_op.cpp.
+// An error that is NaN is no inlier.
 #pragma once
 
 #include "geometry/residuals.h"

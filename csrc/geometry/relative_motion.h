@@ -1,5 +1,4 @@
-// The motion from one camera to another, whose poses take points of the world to their coordinates. Included by
-// depth/reprojection.h and epipolar/matrices.h.
+// The motion from one camera to another, whose poses take points of the world to their coordinates.
 #pragma once
 
 #include "core/matrix3.h"

@@ -1,5 +1,4 @@
-// Loads and stores adjacent points of a thread, in accesses of 16 bytes where possible. Included by transform_points.cu
-// and transform_points_backward.cu.
+// Loads and stores adjacent points of a thread, in accesses of 16 bytes where possible.
 #pragma once
 
 #include "core/launch.cuh"

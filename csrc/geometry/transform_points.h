@@ -7,8 +7,6 @@
 //
 // A divisor of magnitude up to 1e-8 is replaced by 1. That of `intersect` has magnitude eps at least and keeps its
 // sign. Each map has a vjp to the point and to the matrix.
-//
-// Included by transform_points_cpu.cpp, transform_points.cu, transform_points_backward.cu and transform_points_op.cpp.
 #pragma once
 
 #include "core/isa.h"

@@ -2,8 +2,6 @@
 // x, and with the factors yes and no of the two terms:
 //
 //   -yes (1 - p)^gamma t log p - no p^gamma (1 - t) log(1 - p)
-//
-// Included by binary_focal_cpu.cpp, binary_focal.cu and binary_focal_op.cpp.
 #pragma once
 
 #include "metrics/pointwise.h"

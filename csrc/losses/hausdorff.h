@@ -11,8 +11,6 @@
 //
 // Where little survives, high - low is tiny. So b_i is a quotient, which is exactly 1 at the maximum, and the terms of
 // a gradient are added before they are divided: those of a single surviving pixel cancel exactly.
-//
-// Included by hausdorff_cpu.cpp, hausdorff.cu and hausdorff_op.cpp.
 #pragma once
 
 #include "core/isa.h"

@@ -1,6 +1,6 @@
 // Lovász losses of logits (B, C, pixels) with labels (B, pixels). The errors of every class in every image are sorted
 // in descending order. The loss is their sum, each error times the amount by which its pixel increases the Jaccard loss
-// of the pixels before it. Included by lovasz_cpu.cpp, lovasz.cu and lovasz_op.cpp.
+// of the pixels before it.
 //
 // Let the region have `all` pixels, and let the first pixels comprise `inside` of them and `outside` others. The
 // Jaccard loss of the first pixels is 1 - (all - inside) / (all + outside). A pixel of the region adds 1 / (all +

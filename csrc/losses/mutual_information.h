@@ -7,7 +7,7 @@
 //   or, normalized, -(H(px) + H(py)) / H(p), with (log px_i + log py_j + loss log p_ij) / (H(p) S)
 //
 // The operator returns these gradients, and its backward pass reads them. The loss is NaN if a signal is not finite or
-// has no sample. Included by mutual_information_cpu.cpp, mutual_information.cu and mutual_information_op.cpp.
+// has no sample.
 #pragma once
 
 #include <math.h>

@@ -1,6 +1,5 @@
 // Losses of logits (losses, B, C, pixels) with labels (losses, B, pixels): Dice and Tversky losses, and the focal loss
-// of every pixel or its sum. Neither the softmax nor a one-hot target is stored. Included by segmentation_cpu.cpp,
-// segmentation.cu and segmentation_op.cpp.
+// of every pixel or its sum. Neither the softmax nor a one-hot target is stored.
 //
 // A valid label counts 1, an ignored one 0. A label that is not a class counts NaN, which makes its result NaN.
 #pragma once

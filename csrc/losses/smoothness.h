@@ -5,8 +5,7 @@
 //
 // with one weight along y and one along x. The gradient of a pixel is a sum over its neighbors as well. The gradient of
 // d(q) is edge(p, q) with sign(d(q) - d(p)) instead of abs(d(q) - d(p)). The gradient of I_c(q) is -edge(p, q) / C *
-// sign(I_c(q) - I_c(p)). Those of p have the opposite sign. Included by smoothness_cpu.cpp, smoothness.cu and
-// smoothness_op.cpp.
+// sign(I_c(q) - I_c(p)). Those of p have the opposite sign.
 #pragma once
 
 #include "core/isa.h"

@@ -1,6 +1,5 @@
 // Total variation of image planes: the weighted sum of the absolute differences of neighbors along y and along x, one
-// number per plane, and its gradient, a sum of signs. Included by total_variation_cpu.cpp, total_variation.cu and
-// total_variation_op.cpp.
+// number per plane, and its gradient, a sum of signs.
 #pragma once
 
 #include "core/isa.h"

@@ -1,5 +1,4 @@
-// Intersection over union of all pairs of boxes of two sets, and its gradient to the first set. Included by
-// boxes_cpu.cpp, boxes.cu and boxes_op.cpp.
+// Intersection over union of all pairs of boxes of two sets, and its gradient to the first set.
 #pragma once
 
 #include "core/isa.h"

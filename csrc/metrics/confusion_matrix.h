@@ -1,6 +1,5 @@
 // Confusion matrices: for every sample the counts of pairs of a true and a predicted class, and the statistics derived
-// from them. A pixel is left out if either label is not a class. Included by confusion_matrix_cpu.cpp,
-// confusion_matrix.cu and confusion_matrix_op.cpp.
+// from them. A pixel is left out if either label is not a class.
 #pragma once
 
 #include "core/isa.h"

@@ -1,6 +1,5 @@
 // Endpoint errors, the distances between two fields of 2-vectors, for every vector or summed over rows. The gradient of
-// a vector is its difference divided by the distance, and 0 where the distance is 0. Included by
-// endpoint_error_cpu.cpp, endpoint_error.cu and endpoint_error_op.cpp.
+// a vector is its difference divided by the distance, and 0 where the distance is 0.
 #pragma once
 
 #include "core/isa.h"

@@ -1,6 +1,5 @@
 // Elementwise losses of two tensors and their sums over rows: robust losses of the difference d = x - y, its square,
-// and divergences of probabilities. The loss is a run-time argument. Included by pointwise_cpu.cpp, pointwise.cu and
-// pointwise_op.cpp.
+// and divergences of probabilities. The loss is a run-time argument.
 //
 //   charbonnier    sqrt(d^2 + 1) - 1          kl   y log(y / x)
 //   welsch         1 - exp(-d^2 / 2)          js   (x log(x / m) + y log(y / m)) / 2 with m = (x + y) / 2

@@ -1,5 +1,5 @@
 // Window sums of any size along one axis of images or volumes on CUDA: a thread computes eight adjacent sums and reads
-// each element of their windows once. Included by ssim_tiles.cu and ssim_volumes.cu.
+// each element of their windows once.
 #pragma once
 
 #include "ssim.cuh"

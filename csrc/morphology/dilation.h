@@ -14,8 +14,6 @@
 //
 // In a flat window x(p) <= y(q) for all these q. So the q with equality are those where y(q) is the minimum of the
 // window, if that minimum is x(p): the sum is over a window again, of what belongs to its minimum.
-//
-// Included by dilation_cpu.cpp, dilation.cu and dilation_op.cpp.
 #pragma once
 
 #include "core/isa.h"

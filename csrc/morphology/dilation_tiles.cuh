@@ -1,5 +1,4 @@
 // Dilation by tiles in shared memory, along y and then along x: what adjacent windows have in common is combined once.
-// Included by dilation.cu and dilation_backward.cu.
 #pragma once
 
 #include "dilation.cuh"

@@ -2,7 +2,7 @@
 // CPU the kernels of the operators themselves serve a sample each. On CUDA a first launch computes the matrices, and
 // what equalize, auto_contrast and contrast need to know of a plane; in a second one each block does to a tile what its
 // sample has chosen. The gradient takes two more: that of the warp, of all samples, and the sums that the mean of
-// contrast and the range of auto_contrast get. Included by operations_cpu.cpp, operations.cu and operations_op.cpp.
+// contrast and the range of auto_contrast get.
 #pragma once
 
 #include "color/program.h"

@@ -1,6 +1,5 @@
 // Drops of rain on a lens, where a layer is above a threshold: their depth, which grows with the distance from their
-// outlines, and their relief, lit from a corner. corruption/drops.py of kvision.augmentation defines them. Included by
-// drops_cpu.cpp, drops.cu and drops_op.cpp.
+// outlines, and their relief, lit from a corner. corruption/drops.py of kvision.augmentation defines them.
 #pragma once
 
 #include "core/isa.h"

@@ -1,6 +1,5 @@
 // Pixels that read random neighbors: each moves to one near it, which moves to one near it, and so on, and takes the
-// value there. corruption/glass.py of kvision.augmentation defines it. Included by glass_cpu.cpp, glass.cu and
-// glass_op.cpp.
+// value there. corruption/glass.py of kvision.augmentation defines it.
 #pragma once
 
 #include "augmentation/noise.h"

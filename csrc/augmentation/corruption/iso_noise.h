@@ -1,6 +1,5 @@
 // The noise of a sensitive sensor: Poisson counts of the deviation of an image's lightness, and a normal hue.
-// corruption/noises.py of kvision.augmentation defines it. Included by iso_noise_cpu.cpp, iso_noise.cu and
-// iso_noise_op.cpp.
+// corruption/noises.py of kvision.augmentation defines it.
 #pragma once
 
 #include "augmentation/noise.h"

@@ -1,5 +1,5 @@
 // Images behind a layer: x (a + b m) + c m + d, where m is the layer; x and the result are clamped to [0, 1].
-// corruption/layer.py of kvision.augmentation defines them. Included by layer_cpu.cpp, layer.cu and layer_op.cpp.
+// corruption/layer.py of kvision.augmentation defines them.
 #pragma once
 
 #include "core/isa.h"

@@ -1,5 +1,5 @@
 // Weighted sums of moved and scaled copies of images: blurs along paths. corruption/moved.py of kvision.augmentation
-// defines them. Included by moved_cpu.cpp, moved.cu and moved_op.cpp.
+// defines them.
 #pragma once
 
 #include "core/isa.h"

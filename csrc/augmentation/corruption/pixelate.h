@@ -1,5 +1,5 @@
 // Images of blocks: each pixel becomes the value of the block that it lies in. corruption/pixelate.py of
-// kvision.augmentation defines them. Included by pixelate_cpu.cpp, pixelate.cu and pixelate_op.cpp.
+// kvision.augmentation defines them.
 #pragma once
 
 #include "core/isa.h"

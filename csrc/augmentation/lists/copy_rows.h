@@ -1,5 +1,4 @@
-// Rows of tensors, each all numbers of one sample, as one tensor. Included by copy_rows_cpu.cpp, copy_rows.cu and
-// copy_rows_op.cpp.
+// Rows of tensors, each all numbers of one sample, as one tensor.
 #pragma once
 
 #include "core/isa.h"

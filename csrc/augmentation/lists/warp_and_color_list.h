@@ -1,5 +1,5 @@
 // A warp and a program of color steps in one pass over a list of images of different sizes, whose results have one
-// size. Included by warp_and_color_list_cpu.cpp, warp_rows.cuh and warp_and_color_op.cpp.
+// size.
 #pragma once
 
 #include "augmentation/warp_and_color.h"

@@ -1,5 +1,5 @@
 // Images that are made of pieces of the images of a batch, as mixing augmentations make them: rectangles of the result
-// that read from a sample at a distance, one over the other. Included by pieces_cpu.cpp, pieces.cu and pieces_op.cpp.
+// that read from a sample at a distance, one over the other.
 #pragma once
 
 #include "core/isa.h"

@@ -1,5 +1,5 @@
 // Objects of masks that are dropped: every object has a random rank, and those of the highest ranks are dropped.
-// occlusion/objects.py of kvision.augmentation defines it. Included by objects_cpu.cpp, objects.cu and objects_op.cpp.
+// occlusion/objects.py of kvision.augmentation defines it.
 #pragma once
 
 #include "core/isa.h"

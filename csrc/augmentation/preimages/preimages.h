@@ -4,8 +4,6 @@
 //   a --u-- b     read(u, v) = a + e u + f v + g u v,  e = b - a, f = c - a, g = d - b - f
 //   v       |
 //   c ----- d     cell (i, j), whose node a is node (i, j)
-//
-// Included by preimages_cpu.cpp, preimages.cu and preimages_op.cpp.
 #pragma once
 
 #include "core/ceil_div.h"

@@ -1,5 +1,5 @@
 // The taps of bilinear warps that map rows to rows, as crops, flips and resizing do. Such warps are separable: each
-// axis has taps of its own. Included by warp_and_color.cu and warp_rows_backward.cu.
+// axis has taps of its own.
 #pragma once
 
 #include "core/launch.cuh"

@@ -1,6 +1,5 @@
 // Warps with a program of color steps on the CPU: parts [begin, end) of all samples, which are bands of rows. The warp
-// writes a band to a buffer that stays in the cache, and the program reads it there. Included by warp_and_color_cpu.cpp
-// and lists/warp_and_color_list_cpu.cpp.
+// writes a band to a buffer that stays in the cache, and the program reads it there.
 #pragma once
 
 #include "augmentation/warp_and_color.h"

@@ -4,8 +4,7 @@
 // memory and applies the program to them.
 //
 // Contrast around the mean needs all pixels of a sample before any result: the blocks of a sample are a cluster, keep
-// their pixels in shared memory, and add up the mean. No image is sampled twice. Included by warp_and_color.cu and
-// lists/warp_and_color_list.cu.
+// their pixels in shared memory, and add up the mean. No image is sampled twice.
 #pragma once
 
 #include "augmentation/lists/warp_and_color_list.h"

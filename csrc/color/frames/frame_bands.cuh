@@ -7,7 +7,7 @@
 //   across    A thread has a column of the result. It adds up the sums of the rows, which are in shared memory.
 //
 // Chroma is added up where it is, at half the resolution. Where a box takes more than the tables have room for, each
-// thread computes the windows of its pixels. Included by frames.cu.
+// thread computes the windows of its pixels.
 #pragma once
 
 #include "frames.cuh"

@@ -1,4 +1,4 @@
-// How kernels of frames read codes. Included by frames.cu and frame_bands.cuh.
+// How kernels of frames read codes.
 #pragma once
 
 #include "core/launch.cuh"

@@ -1,5 +1,4 @@
 // RGB to the codes of video frames: luma of each pixel, and chroma of one or two of each two pixels along an axis.
-// Included by frames_coded_cpu.cpp, frames_coded.cu and frames_coded_op.cpp.
 //
 // Codes are affine in the colors. Chroma of two rows is a weighted sum of rows of chroma, and then of columns:
 //

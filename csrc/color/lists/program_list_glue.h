@@ -1,5 +1,4 @@
-// Color programs on lists of images of different sizes, for the entries of operators. Included by
-// augmentation/lists/warp_and_color_to_list_op.cpp.
+// Color programs on lists of images of different sizes, for the entries of operators.
 #pragma once
 
 #include "color/lists/program_list.h"

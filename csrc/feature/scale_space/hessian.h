@@ -1,6 +1,5 @@
 // The Hessian response of planar images on CUDA: that of feature/responses.h, or that of the levels of an octave, whose
-// sigmas are the blurs of the levels, as kernel arguments. Included by hessian.cu, responses_hessian.cu and
-// scale_space_features_op.cpp.
+// sigmas are the blurs of the levels, as kernel arguments.
 #pragma once
 
 #include "feature/responses.h"

@@ -10,8 +10,7 @@
 //
 // The response is stored, or it is the difference of adjacent levels of a pyramid, which is not: on the CPU a band of
 // rows keeps three of its rows. The octaves of a scale space are volumes of several sizes that are searched together;
-// the voxels of all are numbered one octave after the other. Included by scale_space_peaks_cpu.cpp,
-// scale_space_peaks.cu and scale_space_peaks_op.cpp.
+// the voxels of all are numbered one octave after the other.
 #pragma once
 
 #if !defined(__CUDACC__)

@@ -1,5 +1,4 @@
-// Checks and working memory of the operators that find peaks. Included by scale_space_peaks_op.cpp and
-// scale_space_features_op.cpp.
+// Checks and working memory of the operators that find peaks.
 #pragma once
 
 #include "feature/scale_space/scale_space_peaks.h"

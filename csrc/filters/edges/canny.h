@@ -1,6 +1,5 @@
 // Two steps of the Canny edge detector on a blurred gray image: non-maximum suppression of the gradient magnitude, and
-// hysteresis, which keeps weak edges that are connected to strong ones. Included by canny_cpu.cpp, canny.cu and
-// canny_op.cpp.
+// hysteresis, which keeps weak edges that are connected to strong ones.
 #pragma once
 
 #include "sobel.h"

@@ -1,6 +1,5 @@
 // Derivative kernels. Each is a product of weight rows, one for every axis, that smooth (order 0) or differentiate
-// (order 1, 2) along it. One implementation serves all of them; a kernel is defined by its rows. Included by
-// spatial_gradient.h and spatial_gradient3d.h.
+// (order 1, 2) along it. One implementation serves all of them; a kernel is defined by its rows.
 #pragma once
 
 #include <type_traits>

@@ -4,7 +4,7 @@
 //   gx = -2 0 2 * scale  gy =  0  0  0 * scale     scale = 1/8 when normalized, else 1
 //        -1 0 1              1  2  1
 //
-// and the border kSobelBorder. Included by sobel_cpu.cpp, sobel.cu and sobel_op.cpp.
+// and the border kSobelBorder.
 #pragma once
 
 #include "core/border.h"

@@ -1,5 +1,4 @@
-// Derivatives of an image with the replicate border: (x, y) or, for order 2, (xx, xy, yy). Included by
-// spatial_gradient_cpu.cpp, spatial_gradient.cu and spatial_gradient_op.cpp.
+// Derivatives of an image with the replicate border: (x, y) or, for order 2, (xx, xy, yy).
 #pragma once
 
 #include "core/isa.h"

@@ -1,5 +1,5 @@
 // Derivatives of a volume by differences, with the replicate border: (x, y, z) or, for order 2, (xx, yy, zz, xy, yz,
-// xz). Included by spatial_gradient3d_cpu.cpp, spatial_gradient3d.cu and spatial_gradient3d_op.cpp.
+// xz).
 #pragma once
 
 #include "core/isa.h"

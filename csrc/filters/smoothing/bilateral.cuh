@@ -1,5 +1,4 @@
-// Shared by the CUDA kernels of the bilateral blur. Included by bilateral.cu, bilateral_backward.cu and
-// bilateral_sigma_sums.cu.
+// Shared by the CUDA kernels of the bilateral blur.
 //
 // Images of 1 or 3 channels that are their own guides and are computed in float32 are processed in tiles in shared
 // memory; all others by plain kernels.

@@ -5,7 +5,7 @@
 //   w(p,q) = 2^(space(q-p) - color |g[p]-g[q]|^2)
 //
 // The guide g is x itself or, for the joint blur, another image; |.| is the sum of absolute differences over its
-// channels (l1) or the Euclidean distance (l2). Included by bilateral_cpu.cpp, bilateral*.cu and bilateral_op.cpp.
+// channels (l1) or the Euclidean distance (l2).
 //
 // Gradients. With a[c,p] = grad[c,p] / n(p) and b(p) = sum_c a[c,p] y[c,p], the weight w(p,q) has the gradient
 // sum_c a[c,p] x[c,q] - b(p). The weight depends on g only through the distance of p and q, so w(q,p) = w(p,q). A

@@ -1,7 +1,6 @@
 // Window sums, at a cost that hardly depends on the window's size: box blur, the Laplacian, and their transposes.
 // Nothing is ever subtracted from a sum. A running sum that subtracts what leaves its window would carry a NaN, an
-// infinity, or the rounding error of a large value to the end of the row. Included by box_cpu.cpp, box.cu and
-// box_glue.h.
+// infinity, or the rounding error of a large value to the end of the row.
 #pragma once
 
 #include "core/border.h"

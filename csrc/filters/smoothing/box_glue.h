@@ -1,5 +1,4 @@
-// Window sums of tensors: arguments checked, results allocated, kernels launched. Included by box_op.cpp and
-// edges/laplacian_op.cpp.
+// Window sums of tensors: arguments checked, results allocated, kernels launched.
 #pragma once
 
 #include "box.h"

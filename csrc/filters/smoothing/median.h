@@ -1,5 +1,4 @@
 // Median blur: every pixel becomes the median of its window, for an even count the lower of the two in the middle.
-// Included by median_cpu.cpp, median.cu, median_backward.cu and median_op.cpp.
 //
 // Windows of 3x3 and 5x5 pixels take a selection network over a value type that has a min and a max: lanes on the CPU,
 // floats on CUDA. Windows that overlap share sorted rows:

@@ -4,7 +4,7 @@
 //   weight = sum over taps of line(tap) w(along - tap)  times  w(across) for each other axis     w: of an interpolation
 //
 // The weights of a kernel are divided by their sum. They are computed in double, because the last bits of a coordinate
-// can decide which of two pixels is nearest. Included by motion_cpu.cpp, motion.cu and motion_op.cpp.
+// can decide which of two pixels is nearest.
 #pragma once
 
 #include <math.h>

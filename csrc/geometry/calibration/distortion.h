@@ -4,8 +4,7 @@
 //
 // for (x, y) on the plane z = 1 in front of the camera, r^2 = x^2 + y^2. The order of the coefficients is k1, k2, p1,
 // p2, k3, k4, k5, k6, s1, s2, s3, s4. The inverse map, undistortion, takes steps of a fixed-point iteration, and damped
-// steps of Newton's method for points that these leave more than a thousandth of a pixel off. Included by
-// distortion_cpu.cpp, distortion.cu and distortion_op.cpp.
+// steps of Newton's method for points that these leave more than a thousandth of a pixel off.
 #pragma once
 
 #include "core/any_lane.h"

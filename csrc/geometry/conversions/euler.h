@@ -1,4 +1,4 @@
-// Euler angles: formulas of kvision.geometry.conversions.euler. Included by formulas.h.
+// Euler angles: formulas of kvision.geometry.conversions.euler.
 #pragma once
 
 #include "geometry/conversions/angles.h"

@@ -1,5 +1,5 @@
 // Rotation matrices, quaternions (w, x, y, z) and axis-angle vectors: formulas of
-// kvision.geometry.conversions.rotations. Included by formulas.h.
+// kvision.geometry.conversions.rotations.
 #pragma once
 
 #include "geometry/conversions/angles.h"

@@ -3,8 +3,7 @@
 // sample, over channels, and over the pixels of the target whose sampling coordinates (warp.h) lie between four pixels
 // of the view.
 //
-// For the gradient, the set of these pixels is constant. Included by photometric_cpu.cpp, photometric.cu and
-// photometric_op.cpp.
+// For the gradient, the set of these pixels is constant.
 #pragma once
 
 #include "geometry/depth/warp.h"

@@ -6,8 +6,6 @@
 // The gradient of normals goes first to the derivatives at each pixel, then from the derivatives around a pixel to its
 // point. The gradient to the camera follows from that to the points, summed over the pixels of chunks, then over
 // chunks.
-//
-// Included by points_cpu.cpp, points.cu and points_op.cpp.
 #pragma once
 
 #include "core/images.h"

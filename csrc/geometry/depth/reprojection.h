@@ -3,8 +3,7 @@
 //
 //   A = K' R' R^T K^-1, b = K' (t' - R' R^T t), projection = [A | b].
 //
-// warp.h defines how it maps a pixel. Computes in double, because there is only one matrix for each sample. Included by
-// reprojection_cpu.cpp, reprojection.cu and reprojection_op.cpp.
+// warp.h defines how it maps a pixel. Computes in double, because there is only one matrix for each sample.
 #pragma once
 
 #include "core/isa.h"

@@ -1,4 +1,4 @@
-// Sampling coordinates from depth on CUDA. Included by warp.cu and photometric.cu.
+// Sampling coordinates from depth on CUDA.
 #pragma once
 
 #include "geometry/depth/warp.h"

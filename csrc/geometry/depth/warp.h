@@ -4,7 +4,7 @@
 //
 // where A = K' R K^-1 and b = K' t for cameras K and K' and the motion (R, t) between them. A point that is not in
 // front of the source's camera, W > 0, is out of bounds and has no gradient. Interpolation is bilinear or nearest;
-// padding modes are those of transform/sampling.h. Included by warp_cpu.cpp, warp.cu, warp_op.cpp and photometric.h.
+// padding modes are those of transform/sampling.h.
 #pragma once
 
 #include "geometry/transform/sampling.h"

@@ -1,4 +1,4 @@
-// Sampling coordinates from depth on the CPU. Included by warp_cpu.cpp and photometric_cpu.cpp, outside of namespaces.
+// Sampling coordinates from depth on the CPU. Included outside of namespaces.
 #pragma once
 
 #include "geometry/transform/sampling_cpu.h"

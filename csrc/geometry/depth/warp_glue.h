@@ -1,4 +1,4 @@
-// Checks and sizes that the operators that warp by depth share. Included by warp_op.cpp and photometric_op.cpp.
+// Checks and sizes that the operators that warp by depth share.
 #pragma once
 
 #include "geometry/depth/warp.h"

@@ -1,6 +1,5 @@
 // Greedy suppression of boxes: a kept box removes the boxes behind it that overlap it by more than a threshold. Boxes
-// are planes of edges, so that a vector or a warp reads neighbors at once. Included by suppression_cpu.cpp,
-// suppression.cu and suppression_op.cpp.
+// are planes of edges, so that a vector or a warp reads neighbors at once.
 #pragma once
 
 #include "core/ceil_div.h"

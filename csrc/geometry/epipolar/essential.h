@@ -6,8 +6,6 @@
 //
 // R, the nearest matrix and their gradients do not depend on the choice of singular vectors if s1 = s2. With dU = U X,
 // dV = V Y and A = U^T dE V, gradients need only X12 - Y12 = (A12 - A21) / (s1 + s2), X_i3 and Y_i3.
-//
-// Included by essential_cpu.cpp, essential.cu and essential_op.cpp.
 #pragma once
 
 #include "geometry/epipolar/triangulation.h"

@@ -1,5 +1,5 @@
 // Matrices of two views, fundamental, essential, relative motions and projections: formulas of
-// kvision.geometry.epipolar. Included by formulas.h.
+// kvision.geometry.epipolar.
 #pragma once
 
 #include "core/matrix3.h"

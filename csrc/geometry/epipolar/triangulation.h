@@ -1,6 +1,6 @@
 // Triangulates points from their pixels in two images: null vectors of the rows x P3 - P1 and y P3 - P2 of both images,
 // where P1, P2, P3 are the rows of a projection. Gradients to projections are sums over chunks of points, then over
-// chunks. Included by triangulation_cpu.cpp, triangulation.cu and triangulation_op.cpp.
+// chunks.
 #pragma once
 
 #include "core/isa.h"

@@ -1,5 +1,5 @@
 // Exponential maps, logarithms and Jacobians of the Lie groups SE(2), SO(3) and SE(3), as formulas
-// (geometry/formula.h). Included by geometry/formulas.h.
+// (geometry/formula.h).
 //
 // With x the angle and V = [v] the skew-symmetric matrix of a rotation vector v (Solà et al., 2018; Barfoot, 2017):
 //

@@ -16,8 +16,7 @@
 //   better and changes the damping finish     the results
 //
 // Observations are in the order of their points, and those of a point in the order of their cameras. Nothing is stored
-// for a pair of observations, only W for each; sums have one order: the same bits every run. Included by
-// fit_bundle_cpu.cpp, fit_bundle.cu and fit_bundle_op.cpp.
+// for a pair of observations, only W for each; sums have one order: the same bits every run.
 #pragma once
 
 #include "core/isa.h"

@@ -18,8 +18,6 @@
 // Homographies and fundamental matrices are divided by their last entry unless that is 0. A camera becomes a pose: its
 // image points are K^-1 (x, y, 1). The columns of its rotation are made orthogonal one after the other, and the first
 // one determines the scale.
-//
-// Included by dlt_cpu.cpp, dlt.cu and dlt_op.cpp.
 #pragma once
 
 #include "geometry/solvers/dlt_affine.h"

@@ -1,4 +1,4 @@
-// The first positive root of a polynomial that is positive at 0. Included by roots.h and distortion.h.
+// The first positive root of a polynomial that is positive at 0.
 #pragma once
 
 #include "core/hd.h"

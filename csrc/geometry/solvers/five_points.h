@@ -15,8 +15,6 @@
 //   max(x)          the largest of a group
 //   any(x)          whether x is true in any thread of a warp
 //   sync()          makes writes to shared memory visible
-//
-// Included by minimal.cu.
 #pragma once
 
 #include "geometry/solvers/minimal.h"

@@ -8,7 +8,7 @@
 //   fundamental8   8 points          1, projected to rank 2 in normalized coordinates
 //   essential      5 points          up to 10 of norm 1 (D. Nister, 2004), in normalized camera coordinates
 //
-// Missing models are NaN. Included by minimal_cpu.cpp, minimal.cu and minimal_op.cpp.
+// Missing models are NaN.
 #pragma once
 
 #include "core/isa.h"

@@ -1,6 +1,5 @@
 // The unit vector v that minimizes the sum of weights * (rows v)^2, and its gradient. v is the eigenvector of the
-// smallest eigenvalue of M = sum w r r^T. Second derivatives need all eigenvectors. Included by null_vector_cpu.cpp,
-// null_vector.cu and null_vector_op.cpp.
+// smallest eigenvalue of M = sum w r r^T. Second derivatives need all eigenvectors.
 #pragma once
 
 #include "core/isa.h"

@@ -1,5 +1,5 @@
 // The coefficients of products of polynomials in x, y and z, and of determinants of polynomials in z: formulas of
-// kvision.geometry.solvers.polynomials. Included by formulas.h and minimal.h.
+// kvision.geometry.solvers.polynomials.
 #pragma once
 
 #include "geometry/formula.h"

@@ -1,5 +1,5 @@
 // Real roots of polynomials (B, n + 1), the highest power first: n of them, ascending, NaN for missing ones. And the
-// first positive root of polynomials, the lowest power first. Included by roots_cpu.cpp, roots.cu and roots_op.cpp.
+// first positive root of polynomials, the lowest power first.
 #pragma once
 
 #include "core/isa.h"

@@ -1,5 +1,5 @@
 // Fundamental matrices of seven correspondences: up to three of rank 2, NaN for missing ones. No step branches, so V is
-// a number or Lanes, one sample in each. Included by minimal.h.
+// a number or Lanes, one sample in each.
 //
 //   n = (p - m) / s        points normalized by their mean and their mean distance |x| + |y| from it
 //   D, F                   an orthonormal basis of the null space of seven rows n2 n1^T: the last columns of Q, for

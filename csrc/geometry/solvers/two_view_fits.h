@@ -17,8 +17,7 @@
 //
 //   w     g / (1 + g) for g = A exp(-e / (2 s)), within 2 reach
 //
-// A point that is not finite has weight 0. Fits from a model end when its score does not rise. Included by
-// two_view_fits_cpu.cpp, two_view_fits.cu and two_view_fits_op.cpp.
+// A point that is not finite has weight 0. Fits from a model end when its score does not rise.
 #pragma once
 
 #include "core/any_lane.h"

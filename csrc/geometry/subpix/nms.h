@@ -1,6 +1,6 @@
 // Local maxima and minima of images or volumes: elements that are above, or below, all others of their window. The
 // window reaches (k - 1) / 2 elements back and k / 2 ahead along an axis. Where it crosses the border there is no
-// maximum. NaN is neither above nor below anything. Included by nms_cpu.cpp, nms.cu and nms_op.cpp.
+// maximum. NaN is neither above nor below anything.
 #pragma once
 
 #include "core/isa.h"

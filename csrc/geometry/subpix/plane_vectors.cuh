@@ -1,5 +1,4 @@
-// Traverses a chunk of a plane on CUDA: a block takes a few rows, its threads take four pixels at a time. Included by
-// spatial_expectation.cu and render_gaussian2d.cu.
+// Traverses a chunk of a plane on CUDA: a block takes a few rows, its threads take four pixels at a time.
 #pragma once
 
 #include <initializer_list>

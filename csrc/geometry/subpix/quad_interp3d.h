@@ -5,8 +5,7 @@
 //
 // If the peak is farther than `largest_shift` along an axis, the center c moves one voxel in that direction and the fit
 // is repeated. There are at most `steps` fits; c stays inside the volume and at most `radius` voxels from the start. If
-// the search does not converge, or H is singular, the result is the voxel itself. Included by quad_interp3d_cpu.cpp,
-// quad_interp3d.cu and quad_interp3d_op.cpp.
+// the search does not converge, or H is singular, the result is the voxel itself.
 #pragma once
 
 #include "core/isa.h"

@@ -5,8 +5,7 @@
 //   dw / dmean = w (u - mean of u) / std              u = d - d0
 //   dw / dstd = w (q - mean of q) / std               q = d^2 - d0^2 = u (u + 2 d0)
 //
-// Means of u and q are weighted by w. Included by render_gaussian2d_cpu.cpp, render_gaussian2d.cu and
-// render_gaussian2d_op.cpp.
+// Means of u and q are weighted by w.
 #pragma once
 
 #include "core/isa.h"

@@ -11,8 +11,7 @@
 //           rest = -(g_coords . (coords - start) + g_value value)
 //
 // A backward pass computes the records first, then gathers. On CUDA, windows around every pixel of images share their
-// exponentials, and both steps are one pass. Included by soft_argmax_cpu.cpp, soft_argmax.cu and
-// soft_argmax_op.cpp.
+// exponentials, and both steps are one pass.
 #pragma once
 
 #include "core/isa.h"

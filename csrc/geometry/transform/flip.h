@@ -1,6 +1,5 @@
 // Flips, which reverse columns, rows or both, and crops of images. Pixels out of bounds are 0. The backward pass of a
-// flip is the flip; that of a crop is the crop by the opposite corner. Included by flip_cpu.cpp, flip.cu and
-// flip_op.cpp.
+// flip is the flip; that of a crop is the crop by the opposite corner.
 #pragma once
 
 #include "core/isa.h"

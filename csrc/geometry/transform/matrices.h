@@ -1,5 +1,4 @@
-// Matrices of transforms of images and volumes: formulas of kvision.geometry.transform.matrices and crop. Included by
-// formulas.h.
+// Matrices of transforms of images and volumes: formulas of kvision.geometry.transform.matrices and crop.
 #pragma once
 
 #include "core/matrix3.h"

@@ -1,4 +1,4 @@
-// Matrices that CUDA kernels compute by a formula. Included by sampling.cu and warp3d.cu.
+// Matrices that CUDA kernels compute by a formula.
 #pragma once
 
 #include "core/launch.cuh"

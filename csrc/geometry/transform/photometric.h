@@ -7,8 +7,7 @@
 //   charbonnier  sqrt(r^2 + eps^2)
 //
 // The set of these pixels is constant for the gradient. A second kernel computes the normal equations of a Gauss-Newton
-// step for the homography's first eight entries. Included by photometric_cpu.cpp, photometric.cu and
-// photometric_op.cpp.
+// step for the homography's first eight entries.
 #pragma once
 
 #include "geometry/transform/sampling.h"

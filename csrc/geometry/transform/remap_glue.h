@@ -1,5 +1,4 @@
-// The maps of operators that sample at their coordinates. Included by remap_op.cpp and
-// antialiased/warp_antialiased_op.cpp.
+// The maps of operators that sample at their coordinates.
 #pragma once
 
 #include "geometry/transform/sampling_glue.h"

@@ -1,5 +1,5 @@
-// Copies of a row in the other direction, by whole vectors, regardless of the element type. Included by flip_cpu.cpp
-// and sampling_cpu.cpp, outside of namespaces.
+// Copies of a row in the other direction, by whole vectors, regardless of the element type. Included outside of
+// namespaces.
 #pragma once
 
 #include "core/lanes.h"

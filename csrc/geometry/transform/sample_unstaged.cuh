@@ -1,5 +1,4 @@
-// Sampling at a coordinate by the taps in global memory, on CUDA. Included by sampling.cu and
-// augmentation/auto/operations.cu.
+// Sampling at a coordinate by the taps in global memory, on CUDA.
 #pragma once
 
 #include "geometry/transform/sampling.cuh"

@@ -1,4 +1,4 @@
-// Tiles of sampling coordinates and windows of taps on CUDA. Included by sampling*.cu.
+// Tiles of sampling coordinates and windows of taps on CUDA.
 //
 // A block takes a tile of kTile x kTile coords, a warp 8 x 4 of them at a time: the taps of a rotated image then lie in
 // few rows, and what a warp writes still fills whole sectors of memory.

@@ -1,6 +1,5 @@
 // Sampling: the value of an image at coordinates between its pixels, and its derivative along both axes. This file and
-// taps.h define it for warps and maps, CPU and CUDA, values and gradients. Included by taps.h, warp3d.h, photometric.h,
-// sampling_glue.h and geometry/depth/warp.h.
+// taps.h define it for warps and maps, CPU and CUDA, values and gradients.
 //
 // Along an axis a coordinate x has 1, 2 or 4 taps, the pixels around it, with weights of t = x - floor(x):
 //

@@ -1,5 +1,4 @@
-// Chunks of rows of sampling coordinates, and windows of taps, on the CPU. Included by sampling*_cpu.cpp, outside of
-// namespaces.
+// Chunks of rows of sampling coordinates, and windows of taps, on the CPU. Included outside of namespaces.
 #pragma once
 
 #include "core/iota.h"

@@ -1,5 +1,4 @@
-// Shared by the operators that sample: names of options, argument checks, axes and fills. Included by warp_op.cpp and
-// remap_op.cpp.
+// Shared by the operators that sample: names of options, argument checks, axes and fills.
 #pragma once
 
 #include "geometry/formula_glue.h"

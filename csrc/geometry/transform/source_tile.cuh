@@ -1,4 +1,4 @@
-// Source tiles: the pixels of an image that a tile of the output reads, in shared memory. Included by sampling*.cu.
+// Source tiles: the pixels of an image that a tile of the output reads, in shared memory.
 //
 // Pixels are loaded once, in vectors of 16 bytes, together with their padding; the offsets of the taps are then known.
 // From global memory, each tap of a rotated tile would load as many cache lines as the tile has rows.

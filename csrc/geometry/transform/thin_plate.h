@@ -1,8 +1,6 @@
 // Thin-plate splines. A point p is mapped to
 //
 //   a_0 + p_x a_1 + p_y a_2 + sum of w_c U(|p - c|^2) over the centers c,     U(s) = s log(s) / 2
-//
-// Included by thin_plate_cpu.cpp, thin_plate.cu and thin_plate_op.cpp.
 #pragma once
 
 #include "core/ceil_div.h"

@@ -1,6 +1,5 @@
 // Warps of volumes by a matrix: trilinear or nearest, with the rules of sampling.h along each of the three axes, and
-// 0 around the volume for the fill. Coordinates and matrices are (x, y, z). Included by warp3d_cpu.cpp, warp3d.cu
-// and warp3d_op.cpp.
+// 0 around the volume for the fill. Coordinates and matrices are (x, y, z).
 #pragma once
 
 #include "geometry/transform/sampling.h"

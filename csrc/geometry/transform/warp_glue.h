@@ -1,5 +1,4 @@
-// Warps by a matrix and their gradients, for the entries of operators. Included by warp_op.cpp and
-// augmentation/warp_and_color_op.cpp.
+// Warps by a matrix and their gradients, for the entries of operators.
 #pragma once
 
 #include "geometry/transform/sampling_glue.h"

@@ -1,5 +1,4 @@
-// Warps that move whole pixels, as flips, crops and padding do, copy on the CPU. Included by sampling_cpu.cpp and
-// sampling_image_backward_cpu.cpp, outside of namespaces.
+// Warps that move whole pixels, as flips, crops and padding do, copy on the CPU. Included outside of namespaces.
 #pragma once
 
 #include <cstddef>

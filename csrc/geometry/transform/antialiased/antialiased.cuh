@@ -1,4 +1,4 @@
-// The taps of antialiased sampling on CUDA. Included by warp_antialiased*.cu.
+// The taps of antialiased sampling on CUDA.
 //
 // A warp takes 32 adjacent pixels of a row of the output, and each thread finds the taps of one of them. Then the warp
 // goes through 32 / Across pixels at a time, with Across threads for each, one for every Across-th column of taps: what

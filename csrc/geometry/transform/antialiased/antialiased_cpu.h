@@ -1,5 +1,4 @@
-// Windows of taps of antialiased sampling, row by row, on the CPU. Included by warp_antialiased*_cpu.cpp, outside of
-// namespaces.
+// Windows of taps of antialiased sampling, row by row, on the CPU. Included outside of namespaces.
 #pragma once
 
 #include "geometry/transform/sampling_cpu.h"

@@ -1,5 +1,5 @@
 // Antialiased samples by a matrix on CUDA: the values of a tile of the output, in parts whose source pixels fit in
-// shared memory, padding included. Included by warp_antialiased.cu.
+// shared memory, padding included.
 //
 // A pixel has 1, 2, 4 or 8 adjacent threads, one for every such column of taps, so that a thread has up to four
 // columns, and a warp has pixels along that axis of the output along which columns change most: rows of shared memory

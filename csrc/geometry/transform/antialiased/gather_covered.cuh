@@ -1,6 +1,6 @@
 // The gradient of the image of antialiased warps on CUDA, by gathering: a pixel of the source reads the gradients of
 // all output pixels that cover it. It serves affine maps with fill padding, one sample an image; for an affine map the
-// output pixels around a source pixel are as many everywhere. Included by warp_antialiased_backward.cu.
+// output pixels around a source pixel are as many everywhere.
 //
 // A block takes a tile of the source, as a whole or in four parts. The gradients of the output pixels that may cover
 // its pixels are stored in shared memory, divided by the sum of their weights. A thread has two source pixels, one

@@ -6,8 +6,6 @@
 //   matrix  maps the input of a link to its output; the walk applies its inverse
 //   map     displacements (B, 2, H, W) in pixels, interpolated bilinearly with the replicate border; the walk applies
 //           (x, y) -> (x, y) + d(x, y)
-//
-// Included by composed_warp_cpu.cpp, composed_warp.cu and composed_warp_op.cpp.
 #pragma once
 
 #include "geometry/transform/sampling.h"

@@ -1,5 +1,4 @@
-// The sample of a list that a block of threads takes on CUDA, in shared memory. Included by warp_list.cu and
-// warp_list_backward.cu.
+// The sample of a list that a block of threads takes on CUDA, in shared memory.
 #pragma once
 
 #include "geometry/transform/lists/sample_list.h"

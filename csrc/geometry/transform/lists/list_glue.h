@@ -1,4 +1,4 @@
-// Tables of lists, for the entries of operators. Included by warp_list_op.cpp and resize_list_op.cpp.
+// Tables of lists, for the entries of operators.
 #pragma once
 
 #include "geometry/transform/sampling_glue.h"

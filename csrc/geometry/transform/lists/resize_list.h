@@ -1,5 +1,4 @@
 // Resizing of lists of images of different sizes: each has axes of its own, for which the kernels of resize.h are run.
-// Included by resize_list_op.cpp, resize_list_cpu.cpp and resize_list.cu.
 #pragma once
 
 #include "core/image_list.h"

@@ -1,6 +1,5 @@
 // Antialiased resizing of a window of each image of a list: a sample of a list is a batch of one, for which the kernels
-// of resize_windows.h are run. Included by resize_windows_list*.cpp, resize_windows_list.cu and
-// resize_windows_list_glue.h.
+// of resize_windows.h are run.
 #pragma once
 
 #include "geometry/transform/lists/resize_list.h"

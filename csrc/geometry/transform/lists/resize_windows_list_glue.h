@@ -1,5 +1,4 @@
-// Antialiased resizing of windows of lists and its gradient, for the entries of operators. Included by
-// resize_windows_list_op.cpp and augmentation/warp_and_color_op.cpp.
+// Antialiased resizing of windows of lists and its gradient, for the entries of operators.
 #pragma once
 
 #include "geometry/transform/lists/list_glue.h"

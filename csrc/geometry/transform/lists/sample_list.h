@@ -1,5 +1,5 @@
 // Sampling of lists of images of different sizes: a sample of a list is a batch of one, for which the kernels of
-// sampling.h are run. Included by warp_list*.cpp and warp_list*.cu.
+// sampling.h are run.
 #pragma once
 
 #include "core/image_list.h"

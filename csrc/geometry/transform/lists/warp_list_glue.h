@@ -1,5 +1,4 @@
-// Warps of lists of images by a matrix each, for the entries of operators. Included by warp_list_op.cpp and
-// augmentation/warp_and_color_op.cpp.
+// Warps of lists of images by a matrix each, for the entries of operators.
 #pragma once
 
 #include "geometry/transform/lists/list_glue.h"

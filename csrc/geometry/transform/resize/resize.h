@@ -1,6 +1,5 @@
 // Resizing, one axis after the other: a pixel of the result is the weighted mean of a band of source pixels around its
-// coordinate c. CPU and CUDA, images and their gradients share these definitions. Included by resize*.cpp and
-// resize*.cu.
+// coordinate c. CPU and CUDA, images and their gradients share these definitions.
 //
 //   nearest        floor(i in / out)
 //   nearest_exact  floor((i + 1/2) in / out)

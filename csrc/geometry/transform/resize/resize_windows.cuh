@@ -6,7 +6,6 @@
 //             each is weighted along x once, and then along y, for the rows of the output that read it.
 //
 // A mirrored window has the same weights in reverse order: positions in the tile are mirrored, nothing else is.
-// Included by resize_windows.cu and lists/resize_windows_list.cu.
 #pragma once
 
 #include "core/launch.cuh"

@@ -1,6 +1,5 @@
 // Antialiased resizing of a window of each image, as RandomResizedCrop does: windows, filters and bands are those of
-// resize.h, along axes that begin at the window's first pixel. Pixels around the window are not read. Included by
-// resize_windows*.cpp, resize_windows.cu and resize_windows_glue.h.
+// resize.h, along axes that begin at the window's first pixel. Pixels around the window are not read.
 //
 // The window of a sample is what its matrix, from pixels of the image to pixels of the result, maps to the result. It
 // is rounded to whole pixels. A negative scale mirrors the result. Where there are several views of each image, sample

@@ -1,5 +1,4 @@
-// Antialiased resizing of windows and its gradient, for the entries of operators. Included by resize_windows_op.cpp and
-// augmentation/warp_and_color_op.cpp.
+// Antialiased resizing of windows and its gradient, for the entries of operators.
 #pragma once
 
 #include "geometry/transform/resize/resize_windows.h"

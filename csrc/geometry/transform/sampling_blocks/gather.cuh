@@ -1,8 +1,7 @@
 // The gradient of the image on CUDA, by gathering: a pixel of the source reads the gradients of all output pixels that
 // have it as a tap. The inverse map gives their neighborhood, which is small and of equal size for all pixels of a
 // tile. Results are deterministic, and each is written once. It serves warps by a matrix with fill padding; with other
-// paddings, border pixels would be taps of all output pixels out of bounds. Included by sampling_image_backward.cu and
-// lists/warp_list_backward.cu.
+// paddings, border pixels would be taps of all output pixels out of bounds.
 #pragma once
 
 #include "geometry/transform/source_tile.cuh"

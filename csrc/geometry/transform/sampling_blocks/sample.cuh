@@ -1,6 +1,6 @@
 // What a block of threads samples on CUDA: a thread takes sampling coordinates of a tile one after the other, and all
 // channels of each. Taps are read from a source tile in shared memory, or from global memory when the taps exceed what
-// a source tile holds. Included by sampling.cu and lists/warp_list.cu.
+// a source tile holds.
 #pragma once
 
 #include "geometry/transform/matrix_formula.cuh"

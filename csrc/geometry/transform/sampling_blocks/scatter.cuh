@@ -1,7 +1,6 @@
 // The gradient of the image on CUDA, by scattering: a warp adds a blocklet of the output to its taps, in private sums
 // in shared memory. These are then added by atomics to a zeroed buffer of the compute type. Where the taps of the
-// blocklet exceed the sums, the warp adds directly to the buffer. Included by sampling_image_backward.cu and
-// lists/warp_list_backward.cu.
+// blocklet exceed the sums, the warp adds directly to the buffer.
 #pragma once
 
 #include "geometry/transform/source_tile.cuh"

@@ -34,8 +34,8 @@ Fit = Callable[[Tensor, Tensor], Tensor]  # models (B, K, m, n) near others, for
 def consensus(errors: Tensor, reach: float | Tensor) -> tuple[Tensor, Tensor]:
     """Weights of squared errors in a fit, and what they contribute to the score of a model; 0 from `reach` on and for NaN."""
     x = (errors * (END / reach**2)).nan_to_num(END, END).clamp(max=END)
-    likelihood = (-x).exp()
-    return likelihood - _REST, likelihood - _REST + _REST * (x - END)
+    weights = ((-x).exp() - _REST).clamp(min=0)  # below 0 by rounding
+    return weights, weights + _REST * (x - END)
 
 
 def rising_fits(

@@ -135,7 +135,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for (stage, size), limit in MEANS.items():
         found = [r for (_, s, dtype, of), r in floors.items() if (s, dtype, of) == (size, "float32", stage)]
         if found:
-            mean = math.exp(math.fsum(map(math.log, found)) / len(found))
+            mean = awkward.geometric_mean(found)
             print(f"geometric mean of {len(found)}, {size_name(size)} {stage}: {mean:.2f}, bar {limit}")
     return 0
 

@@ -28,6 +28,7 @@ from kvision.augmentation.keys import Keys, flatten_draws
 # (bytes have 255 times their noise); keys (K,) int64 on the CPU or the images' device; seeds (B,) int64, which replace the
 # keys, or None; chosen (B,) float32, 0 for samples that stay as they are, or None; and the plan: index of the key, position
 # in the chain, index of the draw, same_on_batch and, where it is not 0, the form, a sum of flags (csrc/augmentation/noise.h).
+NO_KEY = torch.zeros(1, dtype=torch.int64, device="cpu")  # of operators that are given their noise
 _FLATTEN = flatten_draws(keys=2)
 # Flags. Of normal and uniform noise: MULTIPLY, images are multiplied by it; CLAMP, results are clamped to [0, 1]; SHARED, all
 # channels share it. Of pixels that are hit: BY_CHANNEL, those of each channel; RANDOM, they get uniform noise, that of the next

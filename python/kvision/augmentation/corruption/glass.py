@@ -12,7 +12,7 @@ from kvision._choices import Border
 from kvision._dtype import compute_dtype
 from kvision._ops import Operator, match_layout, register
 from kvision.augmentation.keys import flatten_draws
-from kvision.augmentation.noise import PixelNoise, words_of_pixels
+from kvision.augmentation.noise import NO_KEY, PixelNoise, words_of_pixels
 from kvision.augmentation.random_generator.base import Shape
 from kvision.augmentation.samples import where_chosen
 from kvision.filters.smoothing.gaussian import gaussian_blur2d
@@ -94,8 +94,7 @@ def glass(
     blur = ((2 * reach_of(sigma) + 1,) * 2, (sigma, sigma), border)
     smooth = gaussian_blur2d(x, *blur)
     if isinstance(noise, Tensor):
-        key = torch.zeros(1, dtype=torch.int64, device="cpu")
-        read = read_neighbors(smooth, key, None, noise.to(x.device, torch.float32), (0, 0, 1, 0), max_delta, steps)
+        read = read_neighbors(smooth, NO_KEY, None, noise.to(x.device, torch.float32), (0, 0, 1, 0), max_delta, steps)
     else:
         keys, seeds, chosen, plan = noise.arguments()
         read = read_neighbors(smooth, keys, seeds, None, plan, max_delta, steps)

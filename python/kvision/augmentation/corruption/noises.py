@@ -20,6 +20,7 @@ from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
 from kvision.augmentation.keys import flatten_draws
 from kvision.augmentation.noise import (
     CLAMP,
+    NO_KEY,
     PixelNoise,
     is_chosen,
     normals_of_pixels,
@@ -33,7 +34,6 @@ from kvision.augmentation.samples import per_sample
 from kvision.color.hls import hls_to_rgb, rgb_to_hls
 from kvision.core.exceptions import ShapeError
 
-_NO_KEY = torch.zeros(1, dtype=torch.int64, device="cpu")  # where noise is given
 _GAMMA = 2.2  # of the encoding that shot noise undoes
 
 
@@ -58,7 +58,7 @@ def photons(x: Tensor, parameters: Tensor, noise: PixelNoise | Tensor) -> Tensor
     """Images counted in photons, by `shot_noise`, from a source of noise or a uniform map."""
     x, parameters = x.detach(), parameters.to(compute_dtype(x))
     if isinstance(noise, Tensor):
-        y: Tensor = shot_noise(x, parameters, _NO_KEY, None, None, noise.to(x.device, torch.float32), (0, 0, 1, 0))
+        y: Tensor = shot_noise(x, parameters, NO_KEY, None, None, noise.to(x.device, torch.float32), (0, 0, 1, 0))
         return y
     keys, seeds, chosen, plan = noise.arguments()
     y = shot_noise(x, parameters, keys, seeds, chosen, None, plan)
@@ -213,7 +213,7 @@ class ISONoise(IntensityAugmentationBase2D, keeps_contract=True):
         maps = torch.cat(
             [params[name].to(input.device, torch.float32) for name in ("luminance_noise", "color_noise")], 1
         )
-        y = iso_noise(input, torch.stack(numbers, 1), _NO_KEY, None, None, maps, (0, 0, 1, 0))
+        y = iso_noise(input, torch.stack(numbers, 1), NO_KEY, None, None, maps, (0, 0, 1, 0))
         return y
 
 

@@ -139,8 +139,8 @@ struct WarpAndColorArguments {
   Tensor image_gradient(Tensor const& grad, Tensor const& image) const {
     geometry::Size const source = matrix->use.source;
     if (plan.antialias)
-      return geometry::windows_resized(op, dense(grad), *matrix_tensor, {source.height, source.width},
-                                       plan.interpolation, plan.align_corners, true);
+      return geometry::windows_resized(op, is_expanded_scalar(grad) ? grad : dense(grad), *matrix_tensor,
+                                       {source.height, source.width}, plan.interpolation, plan.align_corners, true);
 #if defined(KV_CUDA)
     if (has_row_gradient(image)) {
       int64_t const batch = image.size(0);
@@ -176,7 +176,7 @@ struct WarpAndColorArguments {
 // A gradient whose rows kernels can read by vectors. An expanded scalar is written to memory, which takes half as long
 // as a copy.
 Tensor materialized([[maybe_unused]] char const* op, Tensor const& grad) {
-  if (!color::is_expanded_scalar(grad)) return grad;
+  if (!is_expanded_scalar(grad)) return grad;
   Tensor const result = empty(grad.sizes(), grad);
 #if defined(KV_CUDA)
   dispatch_floating(op, grad, [&]<class T>(Type<T>) {
@@ -380,7 +380,8 @@ std::tuple<Tensor, Tensor, Tensor> warp_and_color_backward(Tensor const& grad, T
   if (!a.matrix) {
     if (of_image) grad_image = sampled_grad;
   } else {
-    if (of_matrix || !a.has_row_gradient(image)) sampled_grad = materialized(op, sampled_grad);
+    bool const reads_number = a.plan.antialias || (!of_matrix && a.has_row_gradient(image));
+    if (!reads_number) sampled_grad = materialized(op, sampled_grad);
     if (of_image) grad_image = a.image_gradient(sampled_grad, image);
     if (of_matrix && a.plan.antialias) {  // windows are whole pixels
       grad_matrix = empty({image.size(0), 3, 3}, a.columns);

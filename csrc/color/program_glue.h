@@ -6,6 +6,7 @@
 #include <array>
 #include <span>
 
+#include "glue/expanded_scalar.h"
 #include "glue/views.h"
 #include "program.h"
 #include "program_clusters.h"
@@ -361,17 +362,6 @@ struct TransposedProgram {
 struct RequiredGradients {
   bool image, parameters;
 };
-
-// Whether a gradient is a scalar expanded to all pixels, as the gradient of a sum is. Kernels on CUDA read the scalar.
-inline bool is_expanded_scalar([[maybe_unused]] Tensor const& grad) {
-#if defined(KV_CUDA)
-  for (int64_t i = 0; i < grad.dim(); ++i)
-    if (grad.size(i) > 1 && grad.stride(i) != 0) return false;
-  return grad.numel() > 1;
-#else
-  return false;
-#endif
-}
 
 // The gradients of the image and, for each image of the batch, of the parameters. A gradient that is not required has
 // no elements. `means` are those of run_program, or nothing for programs without contrast.

@@ -165,10 +165,14 @@ def test_tiles(filter, shape, size, device):
             expected = resized_windows(x, matrix, list(size), INTERPOLATION[filter], False)
         assert_close(y, expected, 1e-5, 1e-5)
         grad = torch.rand(y.shape, generator=generator).to(device).contiguous(memory_format=layout)
-        (result,) = torch.autograd.grad(y, x, grad)
+        (result,) = torch.autograd.grad(y, x, grad, retain_graph=True)
         with K.backend("reference"):
             (expected,) = torch.autograd.grad(expected, x, grad)
         assert_close(result, expected, 1e-4, 1e-4)
+        for number in (0.7, float("inf")):  # as the gradient of a sum
+            same = torch.full((), number, device=device).expand(y.shape)
+            of_number, of_all = (torch.autograd.grad(y, x, g, retain_graph=True)[0] for g in (same, same.contiguous()))
+            assert_close(of_number, of_all, 0.0, 0.0)
 
 
 def test_numbers_out_of_a_window_are_harmless(device):

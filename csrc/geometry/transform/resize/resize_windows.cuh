@@ -235,7 +235,8 @@ __device__ __noinline__ Compute<T> sum_of_taps(ResizeWindows<T> const& p, int64_
                                                T const* plane) {
   using F = Compute<T>;
   int const index[] = {index_x, index_y};
-  int64_t const stride[] = {p.x.step, p.x.row_stride};
+  int64_t const stride[] = {p.one_number ? 0 : p.x.step, p.x.row_stride};
+  if (p.one_number) plane = p.x.data;
   ResizeAxis axes[] = {p.resize_axis(p.window(sample, 0), 0), p.resize_axis(p.window(sample, 1), 1)};
   Contributors<F> reads[2];
 #pragma unroll 1
@@ -309,8 +310,10 @@ struct WindowTile {
     bool const backwards = down.mirrored;
     int const to_stride = int(backwards ? -p.y.row_stride : p.y.row_stride);
     T* const to = p.y.row(plane0, backwards ? rows.end - 1 : rows.begin) + int64_t(x) * step + e;
-    float const poison = by_output() ? walk_by_taps<true>(from, weights_x + local, to, to_stride)
-                                     : walk_by_taps<false>(from, weights_x + local, to, to_stride);
+    bool const one_number = sizeof(T) > 1 && p.one_number;  // bytes have no gradient
+    float const poison = one_number    ? walk_number(weights_x + local, to, to_stride)
+                         : by_output() ? walk_by_taps<true>(from, weights_x + local, to, to_stride)
+                                       : walk_by_taps<false>(from, weights_x + local, to, to_stride);
     // A tap of weight 0 contributes nothing, even if it is inf or NaN.
     if (poison != 0) write_exactly(to, to_stride, index_x, p.x.plane(x_plane0) + (e - pixel * step));
   }
@@ -415,6 +418,40 @@ struct WindowTile {
     }
     return poison;
   }
+  // The same where all elements of the input are one number, with the same bits.
+  __device__ __forceinline__ float walk_number(float const* weights, T* to, int to_stride) const {
+    float const number = read(*p.x.data);
+    float line = 0;
+    for (int n = 0; n < columns.taps; ++n) line += weights[n * columns.count] * number;
+    auto const store = [&](float sum) {
+#pragma unroll
+      for (int k = 0; k < P; ++k) to[k * y_plane] = round_to<T>(sum);
+      to += to_stride;
+    };
+    if (by_output()) {
+#pragma unroll 2
+      for (int t = 0; t < rows.count; ++t) {
+        float sum = 0;
+#pragma unroll
+        for (int i = 0; i < 2 * R; ++i) sum += steps[t].weights[i] * line;
+        store(sum);
+      }
+    } else {
+      float sums[2 * R]{};
+#pragma unroll 1
+      for (int r = 0; r < rows.length; ++r) {
+#pragma unroll
+        for (int i = 0; i < 2 * R; ++i) sums[i] += steps[r].weights[i] * line;
+#pragma unroll 1
+        for (int complete = steps[r].number; complete > 0; --complete) {
+          store(sums[0]);
+#pragma unroll
+          for (int i = 0; i < 2 * R; ++i) sums[i] = i + 1 < 2 * R ? sums[min(i + 1, 2 * R - 1)] : 0;
+        }
+      }
+    }
+    return line * 0;
+  }
   __device__ __forceinline__ void write_exactly(T* to, int to_stride, int index_x, T const* source) const {
 #pragma unroll 1
     for (int i = 0; i < rows.count; ++i, to += to_stride)
@@ -450,7 +487,7 @@ __device__ __forceinline__ void resize_tile(ResizeWindows<T> const& p, WindowTil
   rest /= tiles.across;
   int const y = int(rest % tiles.down) * tiles.rows;
   rest /= tiles.down;
-  int64_t const sample = rest / tiles.groups, group = rest % tiles.groups * P;
+  int64_t const sample = p.sample_of(rest / tiles.groups), group = rest % tiles.groups * P;
   int64_t const x_plane0 = p.image_of(sample) * p.planes + group, plane0 = sample * p.planes + group;
   int const end_x = min(x + tiles.columns, int(p.y.width)), end_y = min(y + tiles.rows, int(p.y.height));
   if (threadIdx.x < 2) {
@@ -471,7 +508,7 @@ __device__ __forceinline__ void resize_tile(ResizeWindows<T> const& p, WindowTil
                                  y_plane, origin,  steps,   weights_x,    first_x};
   int const e = int(threadIdx.x), pixel = step == 1 ? e : e / step;
   if (!tile.is_empty()) {
-    tile.prefetch();
+    if (!p.one_number) tile.prefetch();
     tile.write_tables(reinterpret_cast<float*>(first_x + tiles.columns));
     if (e < tile.elements() && tile.columns.covers(x + pixel)) tile.write_column(e, pixel);
   }

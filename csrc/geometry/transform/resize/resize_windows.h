@@ -23,7 +23,14 @@ struct ResizeWindows {
   // Instead of matrices, forward only: x, y, width and height for each view of each image, in whole pixels.
   Compute<T> const* boxes = nullptr;
   int64_t images = 0, box_image_stride = 0, box_view_stride = 0;
+  unsigned views = 1;       // of each image
+  bool one_number = false;  // backward: all elements of `x` are its first one, as the gradient of a sum is
 
+  // The samples in the order in which they are processed: those of an image, which is in the cache then, one after the
+  // other.
+  KV_HD int64_t sample_of(unsigned number) const {
+    return boxes ? int64_t(number % views) * images + number / views : number;
+  }
   KV_HD int64_t image_of(int64_t sample) const { return boxes ? unsigned(sample) % unsigned(images) : sample; }
   // Of samples: 0 along x, 1 along y.
   KV_HD int source(int axis) const { return backward ? size(y, axis) : size(x, axis); }

@@ -3,6 +3,7 @@
 
 #include "geometry/transform/resize/resize_windows.h"
 #include "geometry/transform/sampling_glue.h"
+#include "glue/expanded_scalar.h"
 
 namespace kv::geometry {
 
@@ -32,18 +33,20 @@ inline Tensor windows_resized(char const* op, Tensor const& input, Tensor const&
            ": matrix does not fit what is resized");
   Tensor const matrices = dense(matrix);
   Layout const layout = layout_of(input);
-  Tensor const x = as_layout(input, layout);
+  bool const one_number = backward && is_expanded_scalar(input);
+  Tensor const x = one_number ? input : as_layout(input, layout);
   Tensor const y = memory ? *memory : empty({x.size(0), x.size(1), size.height, size.width}, x, layout);
   auto const run = [&](auto type) {
     using T = typename decltype(type)::type;
-    ResizeWindows<T> const params{planes<T const>(x, layout),
-                                  planes<T>(y, layout),
-                                  planes_per_sample(x, layout),
-                                  ResizeFilter(filter),
-                                  align_corners,
-                                  backward,
-                                  data_ptr<Compute<T> const>(matrices),
-                                  matrices.size(0) > 1 ? 9 : 0};
+    ResizeWindows<T> params{planes<T const>(x, layout),
+                            planes<T>(y, layout),
+                            planes_per_sample(x, layout),
+                            ResizeFilter(filter),
+                            align_corners,
+                            backward,
+                            data_ptr<Compute<T> const>(matrices),
+                            matrices.size(0) > 1 ? 9 : 0};
+    params.one_number = one_number;
     run_windows(x, params);
   };
   if (backward)

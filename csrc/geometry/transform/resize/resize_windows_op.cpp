@@ -40,6 +40,7 @@ Tensor resize_views(Tensor const& input, Tensor const& boxes, std::vector<int64_
                        0};
     p.boxes = data_ptr<Compute<T> const>(boxes);
     p.images = images, p.box_image_stride = boxes.stride(0), p.box_view_stride = boxes.stride(1);
+    p.views = unsigned(boxes.size(1));
     run_windows(x, p);
   });
   return y;

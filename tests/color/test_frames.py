@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import itertools
+from functools import partial
+from typing import Any
 
 import cv2
 import numpy as np
@@ -202,11 +204,97 @@ def test_awkward_boxes_and_matrices(device):
     assert not C.warp_frames(x, far, (4, 4)).any()
 
 
+def test_capture(device):
+    """No copy waits for the host: a call is captured, and replayed with other codes and matrices."""
+    if device.type != "cuda":
+        pytest.skip("CUDA graphs")
+    x, other = codes(2, 36, 32).to(device), codes(2, 36, 32).to(device)
+    M, moved = (torch.tensor([[[0.8, 0.3, dx], [-0.2, 0.9, 5]]], device=device) for dx in (2.0, 4.0))
+    boxes = torch.tensor([[3.0, 5, 20, 21]], device=device)
+
+    def all_of(x: Tensor, M: Tensor) -> list[Tensor]:
+        rgb = C.frames_to_rgb(x)
+        return [rgb, C.warp_frames(x, M, (20, 24)), C.resize_frames(x, 12, boxes, antialias=True), C.rgb_to_frames(rgb)]
+
+    expected = all_of(other, moved)
+    graph = torch.cuda.CUDAGraph()
+    with torch.cuda.graph(graph):
+        results = all_of(x, M)
+    x.copy_(other)
+    M.copy_(moved)
+    graph.replay()
+    assert all(torch.equal(a, b) for a, b in zip(results, expected, strict=True))
+
+
 def test_largest_windows(device):
     """Reductions whose windows exceed what a block of threads keeps."""
     y, uv = (p.to(device) for p in frame((80, 200), dtype=torch.float32))
     expected = K.geometry.resize(C.frames_to_rgb((y, uv)), (33, 4), antialias=True)
     assert_close(C.resize_frames((y, uv), (33, 4), antialias=True), expected)
+
+
+def stored(layout: str, height: int, width: int, pitch: int, at: int, device: torch.device) -> tuple[Tensor, ...]:
+    """Planes of random codes of 3 frames, whose rows are `pitch` elements apart and begin at element `at`."""
+    half, dtype = ((height + 1) // 2, (width + 1) // 2), torch.uint16 if layout == "p010" else torch.uint8
+
+    def plane(rows: int, columns: int) -> Tensor:
+        x = torch.randint(0, 256 if dtype == torch.uint8 else 1 << 16, (3, rows, at + columns + pitch))
+        return x.to(dtype).to(device)[:, :, at : at + columns]
+
+    if layout == "yuy2":
+        return (plane(height, 2 * width).unflatten(2, (width, 2)),)
+    if layout == "i420":
+        return plane(height, width), plane(*half), plane(*half)
+    return plane(height, width), plane(half[0], 2 * half[1]).unflatten(2, (half[1], 2))
+
+
+@pytest.mark.parametrize("layout", ["nv12", "nv21", "i420", "yuy2", "p010"])
+@pytest.mark.parametrize("pitch, at", [(0, 0), (16, 16), (13, 3)], ids=["dense", "vectors", "bytes"])
+def test_codes_by_words(layout, pitch, at, device):
+    """Planes of integers of any width and pitch, whole, resized and back: what the definition gives."""
+    sizes: dict[tuple[int, int], list[tuple[int, int]]] = {
+        (36, 528): [(18, 264), (36, 528), (7, 100), (40, 600)],
+        (21, 38): [(10, 19), (5, 9), (1, 1)],
+        (34, 37): [(17, 18)],
+        (3, 1): [(2, 2)],
+    }
+    for (height, width), results in sizes.items():
+        if layout == "yuy2" and width % 2:
+            continue
+        planes = stored(layout, height, width, pitch, at, device)
+        given = planes[0] if layout == "yuy2" else planes
+        edges = [[0.0, 0, width, height], [0.8 * width, 1, 0.1 * width, height - 0.3], [0, 0.9 * height, width / 2, 0]]
+        boxes = torch.tensor(edges, device=device)
+        for dtype, limit in ((torch.uint8, 1.0), (torch.float16, 1e-3), (torch.float32, 4e-4)):  # of positions near 500
+            colors: dict[str, Any] = {"layout": layout, "matrix": "bt709", "dtype": dtype}
+            if dtype != torch.uint8:
+                colors.update(mean=(0.4, 0.5, 0.6), std=0.2)
+                limit *= 5
+            calls: list[Any] = [partial(C.frames_to_rgb, given, **colors)]
+            for dsize, antialias, chroma in itertools.product(results, (True, False), ("nearest", "linear")):
+                same = {**colors, "antialias": antialias, "chroma": chroma}
+                calls.append(partial(C.resize_frames, given, dsize, **same))
+                calls.append(partial(C.resize_frames, given, dsize, boxes, **same))
+            for call in calls:
+                actual = call()
+                with K.backend("reference"):
+                    expected = call()
+                assert actual.dtype == dtype
+                assert (actual.double() - expected.double()).abs().max() <= limit
+        if layout == "p010":
+            continue
+        for dtype in (torch.uint8, torch.float16, torch.float32):
+            image = torch.rand(3, 3, height, width + at, device=device)[..., at:]
+            image = (255 * image).round().byte() if dtype == torch.uint8 else image.to(dtype)
+            for chroma in ("nearest", *SITINGS):
+                same = {"split": layout != "yuy2", "dtype": torch.uint8} | (
+                    {} if chroma == "nearest" else {"chroma": "linear", "siting": chroma}
+                )
+                actual = C.rgb_to_frames(image, layout, **same)
+                with K.backend("reference"):
+                    expected = C.rgb_to_frames(image, layout, **same)
+                for a, b in zip(*((x,) if isinstance(x, Tensor) else x for x in (actual, expected))):
+                    assert (a.int() - b.int()).abs().max() <= 1 and (a != b).float().mean() < 0.01
 
 
 def test_errors(device):
@@ -269,7 +357,7 @@ def of_planes(function):
 
 
 class FrameTests(OpTests):
-    operators = ("planes_to_rgb",)
+    operators = ("planes_to_rgb", "planes_to_rgb_backward")
     bytes = True
     channels = 1
     shape = (2, 1, 13, 18)
@@ -327,7 +415,8 @@ class TestWarpFrames(FrameTests):
             ),
         }
     ]
-    accepted = ("y cut along axis -1", "y cut along axis -2")
+    # A matrix without its last row is an affine one.
+    accepted = ("y cut along axis -1", "y cut along axis -2", "map cut along axis -2")
 
 
 @pytest.mark.parametrize("layout", ["nv12", "nv21", "i420", "yuy2", "p010"])

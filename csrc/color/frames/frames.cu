@@ -1,89 +1,115 @@
 // Frames of video on CUDA, in one launch: each code is read from device memory once, by the caches.
 //
-// whole     a thread takes four adjacent pixels of a row; where chroma is interpolated, the frame is a box.
-// boxes     of codes that are integers are bands (frame_bands.cuh). Of others a block takes 32 columns of 32 rows. What
-//           these take of the planes, and with which weights, is in shared memory. Windows that are larger than that
-//           are computed by each thread for itself.
+// whole     of codes that are integers a thread takes eight adjacent columns of a row of chroma, and its rows of luma,
+// of
+//           others four adjacent pixels of a row; where chroma is interpolated, the frame is a box.
+// boxes     of codes that are integers are bands (frame_bands.cuh), or halves (frame_halves.cuh). Of others a block
+// takes
+//           32 columns of 32 rows. What these take of the planes, and with which weights, is in shared memory. Windows
+//           that are larger than that are computed by each thread for itself.
 // matrices  a thread takes a pixel.
 #include "frame_bands.cuh"
+#include "frame_halves.cuh"
 
 namespace kv::color::cuda {
 namespace {
 
-constexpr int kPixelsPerThread = 4, kThreads = 256, kTile = 32, kWarps = kThreads / 32;
+constexpr int kRowsEach = 4;  // rows of chroma of a thread
+constexpr int kPixelsPerThread = 4, kThreads = kRowThreads, kTile = 32, kWarps = kRowWarps;
 constexpr int kLargestWindow = 20, kLargestChromaWindow = kLargestWindow / 2 + 2;
 
-// N codes with a stride, of which the first `count` exist. `words`: they are one aligned word.
-template <int N, class S, class F>
-__device__ __forceinline__ void load_codes(S const* from, int stride, bool words, int count, F* to) {
-  if constexpr (sizeof(S) == 1)
-    if (words) {
-      auto const codes = *reinterpret_cast<Vector<S, N> const*>(from);
+// Blocks at once on a multiprocessor: bytes to bytes take fewer registers, with four 1.05x.
+template <class S, class T>
+constexpr int kRowBlocks = sizeof(S) == 1 && sizeof(T) == 1 ? 4 : 3;
+
+template <class S, class T, bool Plain>
+__global__ void __launch_bounds__(kRowThreads, kRowBlocks<S, T>)
+    run_rows(__grid_constant__ PlanesToRgb<T> const p, __grid_constant__ CodeRowsPlan const plan, bool rgb_vectors) {
+  int const x = int(blockIdx.x * 32 + threadIdx.x % 32) * kOwn, width = p.x.size, height = p.y.size;
+  int const rows = p.y.is_halved() ? 2 : 1, first = (int(blockIdx.y) * kRowWarps + threadIdx.x / 32) * kRowsEach;
+  int const last = min(first + kRowsEach, p.y.chroma_size);
+  if (int(blockIdx.x) * 32 * kOwn >= width || first >= last) return;
+  bool const is_inside = x < width;
+  int64_t const plane = p.rgb.plane(1) - p.rgb.plane(0);  // the result is dense
+  for (int64_t frame = blockIdx.z; frame < p.rgb.count() / 3; frame += gridDim.z) {
+    CodeRows<S, Plain> const codes(p, plan, frame, is_inside ? x : 0);
+    // A row of chroma and its rows of luma, one ahead.
+    OwnCodes<S> chroma, luma[2];
+    auto const fetch = [&](int c) {
+      chroma = codes.fetch_chroma(c);
 #pragma unroll
-      for (int j = 0; j < N; ++j) to[j] = F(number_of(codes.v[j]));
-      return;
+      for (int r = 0; r < 2; ++r) luma[r] = codes.fetch_luma(min(c * rows + min(r, rows - 1), height - 1));
+    };
+    fetch(first);
+    T* to = p.rgb.row(3 * frame, first * rows) + x;
+    for (int c = first; c < last; ++c, to += rows * p.rgb.row_stride) {
+      float numbers[2][kOwn], of_chroma[kOwn];
+#pragma unroll
+      for (int j = 0; j < kOwn; ++j) {
+        of_chroma[j] = chroma.number(j, plan.exponent);
+#pragma unroll
+        for (int r = 0; r < 2; ++r) numbers[r][j] = luma[r].number(j, plan.exponent);
+      }
+      if (c + 1 < last) fetch(c + 1);
+#pragma unroll
+      for (int k = 0; k < 3; ++k) {
+        float const *const m = p.colors.matrix + 3 * k, offset = p.colors.offset[k] + p.colors.bias[k];
+        float added[kOwn / 2];
+#pragma unroll
+        for (int i = 0; i < kOwn / 2; ++i) added[i] = of_chroma[2 * i] * m[1] + (of_chroma[2 * i + 1] * m[2] + offset);
+#pragma unroll
+        for (int r = 0; r < 2; ++r) {
+          if (r >= rows || c * rows + r >= height) break;
+          float color[kOwn];
+#pragma unroll
+          for (int j = 0; j < kOwn; ++j) color[j] = numbers[r][j] * m[0] + added[j / 2];
+          T* const to_row = to + k * plane + r * p.rgb.row_stride;
+          Vector<T, kOwn> const stored = within<T>(color, p.colors.lowest[k], p.colors.highest[k]);
+          if (rgb_vectors) {
+            if (is_inside) store_vector(to_row, stored);
+          } else {
+            Compute<T> exact[kOwn];
+#pragma unroll
+            for (int j = 0; j < kOwn; ++j) exact[j] = read(stored.v[j]);
+            store_words(to_row, exact, x, width);
+          }
+        }
+      }
     }
-#pragma unroll
-  for (int j = 0; j < N; ++j) to[j] = j < count ? F(number_of(from[j * stride])) : F(0);
+  }
 }
 
-// Which accesses of run_whole are vectors.
-struct WholeVectors {
-  bool rgb, luma, pairs;
-};
-
 template <class S, class T>
-__global__ void __launch_bounds__(kThreads)
-    run_whole(__grid_constant__ PlanesToRgb<T> const p, WholeVectors const vectors) {
+__global__ void __launch_bounds__(kThreads) run_whole(__grid_constant__ PlanesToRgb<T> const p) {
   using F = Compute<T>;
   constexpr int N = kPixelsPerThread;
   int const x = int(blockIdx.x * 32 + threadIdx.x % 32) * N, width = p.x.size;
   int const y = int(blockIdx.y) * kWarps + threadIdx.x / 32;
   if (x >= width || y >= p.y.size) return;
-  bool const is_halved = p.x.is_halved();
-  int const row = p.y.is_halved() ? y / 2 : y, column = is_halved ? x / 2 : x, num_pixels = min(width - x, N);
-  int const num_chroma = is_halved ? (num_pixels + 1) / 2 : num_pixels;
+  int const row = p.y.is_halved() ? y / 2 : y, halving = p.x.is_halved() ? 1 : 0;
+  bool const is_vector = width % N == 0;  // the result is dense
   for (int64_t frame = blockIdx.z; frame < p.rgb.count() / 3; frame += gridDim.z) {
-    F luma[N], chroma[2][N];
-    int const step = int(p.planes[0].column_stride);
-    load_codes<N>(p.planes[0].template row<S>(frame, y) + x * step, step, vectors.luma, num_pixels, luma);
-    if (vectors.pairs) {  // u v u v, or v u v u
-      bool const swapped = p.planes[2].data < p.planes[1].data;
-      F codes[N];
-      load_codes<N>(p.planes[swapped ? 2 : 1].template row<S>(frame, row) + 2 * column, 1, true, N, codes);
+    Reader<S, T> const code{p, frame};
+    F codes[3][N];
 #pragma unroll
-      for (int j = 0; j < N; ++j) {
-        chroma[0][j] = swapped ? codes[j / 2 * 2 + 1] : codes[j / 2 * 2];
-        chroma[1][j] = swapped ? codes[j / 2 * 2] : codes[j / 2 * 2 + 1];
-      }
-    } else {
+    for (int j = 0; j < N; ++j) {
+      int const column = min(x + j, width - 1);
+      codes[0][j] = code(0, y, column);
 #pragma unroll
-      for (int k = 0; k < 2; ++k) {
-        CodePlane const& plane = p.planes[1 + k];
-        int const stride = int(plane.column_stride);
-        S const* const from = plane.template row<S>(frame, row) + column * stride;
-        if (is_halved) {
-          F codes[N / 2];
-          load_codes<N / 2>(from, stride, false, num_chroma, codes);
-#pragma unroll
-          for (int j = 0; j < N; ++j) chroma[k][j] = codes[j / 2];
-        } else {
-          load_codes<N>(from, stride, false, num_chroma, chroma[k]);
-        }
-      }
+      for (int k = 1; k < 3; ++k) codes[k][j] = code(k, row, column >> halving);
     }
 #pragma unroll
     for (int k = 0; k < 3; ++k) {
       T* const to = p.rgb.row(3 * frame + k, y) + x;
       F color[N];
 #pragma unroll
-      for (int j = 0; j < N; ++j) color[j] = channel_of(p.colors, k, luma[j], chroma[0][j], chroma[1][j]);
-      if (vectors.rgb) {
+      for (int j = 0; j < N; ++j) color[j] = channel_of(p.colors, k, codes[0][j], codes[1][j], codes[2][j]);
+      if (is_vector) {
         store_vector(to, color);
       } else {
 #pragma unroll
         for (int j = 0; j < N; ++j)
-          if (j < num_pixels) to[j] = round_to<T>(color[j]);
+          if (x + j < width) to[j] = round_to<T>(color[j]);
       }
     }
   }
@@ -98,7 +124,7 @@ __global__ void __launch_bounds__(kThreads) run_matrices(__grid_constant__ Plane
   for (int64_t frame = blockIdx.z; frame < p.rgb.count() / 3; frame += gridDim.z) {
     if (threadIdx.x == 0) {
       double exact[9];
-      invert_up_to_factor(p.map + frame * p.map_stride, p.from_result, exact);
+      invert_up_to_factor(p.map + frame * p.map_stride, p.is_affine, p.from_result, exact);
       for (int k = 0; k < 9; ++k) inverse[k] = F(exact[k]);
     }
     __syncthreads();
@@ -212,44 +238,40 @@ __global__ void __launch_bounds__(kThreads, 3) run_boxes(__grid_constant__ Plane
   }
 }
 
-// Whether chroma is pairs of adjacent bytes that are read at once.
-template <class T>
-bool are_pairs(PlanesToRgb<T> const& p) {
-  CodePlane const &u = p.planes[1], &v = p.planes[2];
-  auto const a = reinterpret_cast<uintptr_t>(u.data), b = reinterpret_cast<uintptr_t>(v.data);
-  bool const is_even = (min(a, b) | uintptr_t(u.row_stride) | uintptr_t(u.frame_stride)) % 2 == 0;
-  return p.code_bytes == 1 && max(a, b) - min(a, b) == 1 && u.column_stride == 2 && v.column_stride == 2 && is_even &&
-         u.row_stride == v.row_stride && u.frame_stride == v.frame_stride;
-}
-
 template <class S, class T>
-int run(PlanesToRgb<T> const& p, CUstream_st* stream) {
+int run(PlanesToRgb<T> p, CUstream_st* stream) {
+  if constexpr (sizeof(T) == 1)  // as rounding to bytes does
+    for (int k = 0; k < 3; ++k) {
+      p.colors.lowest[k] = max(p.colors.lowest[k], 0.f);
+      p.colors.highest[k] = min(p.colors.highest[k], 255.f);
+    }
   unsigned const frames = unsigned(min(p.rgb.count() / 3, int64_t(65535)));
-  auto const blocks = [&](int width, int height) {
-    return dim3(unsigned(ceil_div(p.rgb.width, width)), unsigned(ceil_div(p.rgb.height, height)), frames);
+  auto const blocks = [&](int64_t width, int64_t height, int columns, int rows) {
+    return dim3(unsigned(ceil_div(width, columns)), unsigned(ceil_div(height, rows)), frames);
   };
   bool const repeats = p.x.site == ChromaSite::nearest || !(p.x.is_halved() || p.y.is_halved());
-  if (p.kind == FrameMap::whole && repeats) {
-    constexpr int N = kPixelsPerThread;
-    bool const whole = p.rgb.width % N == 0;  // the result is dense
-    CodePlane const &y = p.planes[0], &u = p.planes[1], &v = p.planes[2];
-    auto const first = min(reinterpret_cast<uintptr_t>(u.data), reinterpret_cast<uintptr_t>(v.data));
-    auto const are_words = [](uintptr_t data, CodePlane const& x) {
-      return (data | uintptr_t(x.row_stride) | uintptr_t(x.frame_stride)) % N == 0;
-    };
-    WholeVectors const vectors{
-        whole, whole && p.code_bytes == 1 && y.column_stride == 1 && are_words(reinterpret_cast<uintptr_t>(y.data), y),
-        whole && p.x.is_halved() && are_pairs(p) && are_words(first, u)};
-    run_whole<S, T><<<blocks(32 * N, kWarps), kThreads, 0, stream>>>(p, vectors);
-  } else if (p.kind != FrameMap::matrices) {
-    if constexpr (sizeof(Compute<T>) == 4 && (__is_same(S, uint8_t) || __is_same(S, uint16_t))) {
+  bool const is_whole = p.kind == FrameMap::whole && repeats;
+  if constexpr (sizeof(Compute<T>) == 4 && (__is_same(S, uint8_t) || __is_same(S, uint16_t))) {
+    CodeRowsPlan codes{};
+    if (p.kind != FrameMap::matrices && plan_rows(p, codes)) {
+      if (is_whole) {
+        auto* const kernel = codes.is_plain ? run_rows<S, T, true> : run_rows<S, T, false>;
+        kernel<<<blocks(p.x.size, p.y.chroma_size, 32 * kOwn, kRowWarps * kRowsEach), kRowThreads, 0, stream>>>(
+            p, codes, p.x.size % kOwn == 0);
+        return cudaGetLastError();
+      }
+      if constexpr (sizeof(S) == 1)
+        if (are_halves(p, codes)) return launch_halves(p, stream);
       BandPlan plan{};
-      if (plan_bands(p, plan)) return launch_bands<S>(p, plan, stream);
+      if (plan_bands(p, codes, plan)) return launch_bands<S>(p, plan, stream);
     }
-    run_boxes<S, T><<<blocks(kTile, kTile), kThreads, 0, stream>>>(p);
-  } else {
-    run_matrices<S, T><<<blocks(32, kWarps), kThreads, 0, stream>>>(p);
   }
+  if (is_whole)
+    run_whole<S, T><<<blocks(p.x.size, p.y.size, 32 * kPixelsPerThread, kWarps), kThreads, 0, stream>>>(p);
+  else if (p.kind != FrameMap::matrices)
+    run_boxes<S, T><<<blocks(p.rgb.width, p.rgb.height, kTile, kTile), kThreads, 0, stream>>>(p);
+  else
+    run_matrices<S, T><<<blocks(p.rgb.width, p.rgb.height, 32, kWarps), kThreads, 0, stream>>>(p);
   return cudaGetLastError();
 }
 
@@ -257,12 +279,7 @@ int run(PlanesToRgb<T> const& p, CUstream_st* stream) {
 
 template <class T>
 int planes_to_rgb(PlanesToRgb<T> const& p, CUstream_st* stream) {
-  if (p.code_bytes == 1) return run<uint8_t>(p, stream);
-  if (p.code_bytes == 2) return run<uint16_t>(p, stream);
-  if constexpr (!__is_same(T, uint8_t))
-    return run<T>(p, stream);
-  else
-    return cudaErrorInvalidValue;  // which the entry has refused
+  return with_codes<T>(p.code_bytes, [&](auto code) { return run<typename decltype(code)::type>(p, stream); });
 }
 
 KV_INSTANTIATE_WITH_BYTES(planes_to_rgb, PlanesToRgb)

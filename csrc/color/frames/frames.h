@@ -54,19 +54,6 @@ struct FrameAxis {
   KV_HD bool is_halved() const { return chroma_size < size; }
 };
 
-// Where chroma is along x and y, by its number: 0 is nearest, then as color/frames.py lists sitings.
-struct ChromaSites {
-  ChromaSite along[2];
-  KV_HD ChromaSite operator[](int axis) const { return along[axis]; }
-};
-KV_HD ChromaSites chroma_sites(int64_t siting) {
-  constexpr ChromaSites sites[] = {{ChromaSite::nearest, ChromaSite::nearest},
-                                   {ChromaSite::cosited, ChromaSite::between},
-                                   {ChromaSite::between, ChromaSite::between},
-                                   {ChromaSite::cosited, ChromaSite::cosited}};
-  return sites[siting];
-}
-
 // An integer of a position, within [low, high]; low for NaN.
 template <class F>
 KV_HD int whole_within(F x, int low, int high) {
@@ -123,6 +110,10 @@ struct PixelWindow {
     if (!a.is_halved()) return last;
     return a.site == ChromaSite::nearest ? (last + 1) >> 1 : min((last >> 1) + 1, a.chroma_size);
   }
+  // Of sample c of a plane.
+  KV_HD F plane_weight(bool is_chroma, FrameAxis const& a, int c) const {
+    return is_chroma ? chroma_weight(a, c) : weight(c);
+  }
   KV_HD F chroma_weight(FrameAxis const& a, int c) const {
     if (!a.is_halved()) return weight(c);
     F const w0 = weight(2 * c), w1 = weight(2 * c + 1);
@@ -133,6 +124,10 @@ struct PixelWindow {
     if (a.site == ChromaSite::cosited) return w0 + before * F(0.5) + w1 * F(is_last ? 1 : 0.5);
     return (before + after) * F(0.25) + w0 * F(c == 0 ? 1 : 0.75) + w1 * F(is_last ? 1 : 0.75);
   }
+};
+
+struct ResultRange {
+  int first, last;
 };
 
 // An axis of a box, [start, end], resampled to `count` pixels; start > end mirrors. Only pixels that the box touches
@@ -165,6 +160,17 @@ struct BoxAxis {
     return {center, inverse_support, whole_within(floor_of(center - support + F(0.5)), low, high - 1),
             whole_within(-floor_of(F(0.5) - center - support), low + 1, high)};
   }
+  // The results, of `count`, whose windows may have pixels of [first, last).
+  KV_HD ResultRange results_of(int first, int last, int count) const {
+    F from = F(first) + F(0.5) - support, to = F(last) - F(0.5) + support;  // where their centers are
+    // Those beyond the outermost pixels are moved to these.
+    if (from <= F(low) + F(0.5)) from = -F(__builtin_inff());
+    if (to >= F(high) - F(0.5)) to = F(__builtin_inff());
+    F const a = (from - start) / scale - F(0.5), b = (to - start) / scale - F(0.5);
+    F const least = floor_of(a < b ? a : b), most = floor_of(a < b ? b : a);
+    if (!(least <= most)) return {0, count};
+    return {whole_within(least - F(1), 0, count), whole_within(most + F(3), 0, count)};
+  }
   // No window has more pixels.
   KV_HD int largest_window(int size) const { return whole_within(support * 2 + F(2), 1, size); }
 };
@@ -184,8 +190,9 @@ struct PlanesToRgb {
   FrameAxis x, y;
   Planes<T> rgb;  // three planes a frame
   FrameMap kind;
-  Compute<T> const* map;          // 4 edges (x1, y1, x2, y2) or 9 entries for each result; null: the box is the frame
+  Compute<T> const* map;          // 4 edges (x1, y1, x2, y2) or a matrix for each result; null: the box is the frame
   int64_t map_stride;             // 0: one for all
+  bool is_affine;                 // matrices have two rows
   bool antialias, align_corners;  // the latter of windows
   // Of matrices: they are from pixels of the result to those of the frame; the nearest pixel is taken; the border
   // continues outside.
@@ -213,6 +220,35 @@ struct PlanesToRgb {
 
 KV_KERNEL(planes_to_rgb, PlanesToRgb)
 
+// Gradients to planes of T. Each sample of a plane takes what it gave to the results whose colors were not clamped.
+template <class T>
+struct PlanesToRgbBackward {
+  PlanesToRgb<T> forward;  // with its results; the planes are not read
+  Planes<T const> grad;
+  T* planes[3];  // dense, one a frame
+
+  KV_HD int height(int plane) const { return plane ? forward.y.chroma_size : forward.y.size; }
+  KV_HD int width(int plane) const { return plane ? forward.x.chroma_size : forward.x.size; }
+  KV_HD int rows_of_frame() const { return height(0) + 2 * height(1); }
+  KV_HD T* row(int plane, int64_t frame, int64_t y) const {
+    return planes[plane] + (frame * height(plane) + y) * width(plane);
+  }
+  // The gradient to what a result took of a plane. `value` reads a number.
+  template <class Value>
+  KV_HD Compute<T> taken(int plane, int64_t frame, int64_t y, int64_t x, Value value) const {
+    FrameColors<Compute<T>> const& colors = forward.colors;
+    Compute<T> sum = 0;
+    for (int k = 0; k < 3; ++k) {
+      Compute<T> const color = value(forward.rgb.row(3 * frame + k, y) + x);
+      if (color > colors.lowest[k] && color < colors.highest[k])
+        sum += colors.matrix[3 * k + plane] * value(grad.row(3 * frame + k, y) + x);
+    }
+    return sum;
+  }
+};
+
+KV_KERNEL(planes_to_rgb_backward, PlanesToRgbBackward)
+
 // The position in the frame of pixel (x, y) of the result.
 template <class F>
 struct Preimage {
@@ -224,19 +260,21 @@ struct Preimage {
     y = (inverse[3] * column + inverse[4] * row + inverse[5]) / z;
   }
 };
-// The adjugate of a matrix, all NaN if it has no inverse; or the matrix as it is.
+// The adjugate of a matrix, all NaN if it has no inverse; or the matrix as it is. An affine one has two rows.
 template <class F, class M>
-KV_HD void invert_up_to_factor(M const* m, bool is_inverse, F* inverse) {
+KV_HD void invert_up_to_factor(M const* matrix, bool is_affine, bool is_inverse, F* inverse) {
+  F m[9];
+  for (int i = 0; i < 9; ++i) m[i] = is_affine && i >= 6 ? F(i == 8) : F(matrix[i]);
   if (is_inverse) {
-    for (int i = 0; i < 9; ++i) inverse[i] = F(m[i]);
+    for (int i = 0; i < 9; ++i) inverse[i] = m[i];
     return;
   }
   for (int i = 0; i < 3; ++i)
     for (int k = 0; k < 3; ++k) {
       int const r = (k + 1) % 3, s = (k + 2) % 3, c = (i + 1) % 3, d = (i + 2) % 3;
-      inverse[3 * i + k] = F(m[3 * r + c]) * F(m[3 * s + d]) - F(m[3 * r + d]) * F(m[3 * s + c]);
+      inverse[3 * i + k] = m[3 * r + c] * m[3 * s + d] - m[3 * r + d] * m[3 * s + c];
     }
-  F const determinant = F(m[0]) * inverse[0] + F(m[1]) * inverse[3] + F(m[2]) * inverse[6];
+  F const determinant = m[0] * inverse[0] + m[1] * inverse[3] + m[2] * inverse[6];
   if (determinant == F(0))
     for (int i = 0; i < 9; ++i) inverse[i] = F(__builtin_nanf(""));
 }

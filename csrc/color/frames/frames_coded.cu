@@ -1,134 +1,202 @@
-// RGB to the codes of video frames on CUDA: a thread takes four adjacent columns of a row of chroma, and its rows of
-// luma.
-#include "core/launch.cuh"
+// RGB to the codes of video frames on CUDA: a thread takes eight adjacent columns of a row of chroma, and its rows of
+// luma. Rows at any address are read by words.
+#include "frames.cuh"
 #include "frames_coded.h"
 
 namespace kv::color::cuda {
 namespace {
 
-constexpr int kColumns = 4, kThreads = 256, kWarps = kThreads / 32;
-
-// Which accesses are vectors.
+// Which accesses are vectors; `packed`: y u y v.
 struct CodedVectors {
-  bool rgb, luma, pairs;
+  bool rgb, luma, chroma, packed;
 };
 
-template <class S, class F>
-__device__ __forceinline__ S code_of(F x) {
-  if constexpr (__is_same(S, uint16_t))
-    return ten_bits(x);
-  else
-    return round_to<S>(Compute<S>(x));
+// The colors of a thread's columns in a row.
+template <class T>
+struct OwnColors {
+  static constexpr int kWords = kOwn * int(sizeof(T)) / 4;
+  uint32_t words[kWords];
+
+  __device__ __forceinline__ Compute<T> number(int j) const {
+    if constexpr (sizeof(T) == 1) {
+      return byte_of<float>(words[j / 4], j % 4);
+    } else if constexpr (sizeof(T) == 2) {
+      T stored;
+      stored.bits = uint16_t(words[j / 2] >> 16 * (j % 2));
+      return read(stored);
+    } else if constexpr (sizeof(T) == 4) {
+      return __uint_as_float(words[j]);
+    } else {
+      return __hiloint2double(int(words[2 * j + 1]), int(words[2 * j]));
+    }
+  }
+};
+
+// Codes of numbers. Bytes of floats are numbers in [0, 1].
+template <class S, int N, class F>
+__device__ __forceinline__ Vector<S, N> codes_of(F const (&numbers)[N]) {
+  Vector<S, N> codes;
+  if constexpr (__is_same(S, uint8_t) && sizeof(F) == 4) {
+    uint32_t const* const words = levels_of(numbers).words;
+    __builtin_memcpy(&codes, words, N);
+  } else {
+#pragma unroll
+    for (int j = 0; j < N; ++j)
+      if constexpr (__is_same(S, uint16_t))
+        codes.v[j] = ten_bits(numbers[j]);
+      else
+        codes.v[j] = round_to<S>(Compute<S>(numbers[j]));
+  }
+  return codes;
 }
 
-template <class S, class T>
-__global__ void __launch_bounds__(kThreads)
+// Stores the codes of each thread of a warp, those at x ... of a row of `width`. Called by all 32 threads.
+template <class S, int N>
+__device__ __forceinline__ void store_codes(S* to, Vector<S, N> const& codes, bool vectors, int x, int width) {
+  if (vectors) {
+    if (x < width) store_vector(to, codes);
+  } else if constexpr (__is_same(S, uint16_t)) {
+#pragma unroll
+    for (int j = 0; j < N; ++j)
+      if (x + j < width) to[j] = codes.v[j];
+  } else {
+    Compute<S> numbers[N];
+#pragma unroll
+    for (int j = 0; j < N; ++j) numbers[j] = read(codes.v[j]);
+    store_words(to, numbers, x, width);
+  }
+}
+
+template <class S, class T, bool Nearest>
+__global__ void __launch_bounds__(kRowThreads)
     run_coded(__grid_constant__ CodedFrames<T> const p, CodedVectors const vectors) {
   using F = Compute<T>;
-  int const x = int(blockIdx.x * 32 + threadIdx.x % 32) * kColumns, c = int(blockIdx.y) * kWarps + threadIdx.x / 32;
+  int const x = int(blockIdx.x * 32 + threadIdx.x % 32) * kOwn, c = int(blockIdx.y) * kRowWarps + threadIdx.x / 32;
   int const width = p.x.size, height = p.y.size, rows = p.rows_of_chroma();
-  if (x >= width || c >= p.y.chroma_size) return;
-  bool const is_halved = p.x.is_halved(), has_left = is_halved && p.x.site == ChromaSite::cosited;
+  if (int(blockIdx.x) * 32 * kOwn >= width || c >= p.y.chroma_size) return;
+  bool const has_left = !Nearest && p.x.site == ChromaSite::cosited;
+  int64_t const frame_stride = p.rgb.inner == 1 ? 3 * p.rgb.outer_stride : p.rgb.outer_stride;
+  int64_t const channel_stride = p.rgb.inner == 1 ? p.rgb.outer_stride : p.rgb.inner_stride;
   for (int64_t frame = blockIdx.z; frame < p.rgb.count() / 3; frame += gridDim.z) {
-    F sums[3][kColumns + 1]{};  // of the colors of the rows, from the column on the left
-    auto const add_row = [&](int at) {
-      F const weight = subsampling_weight<F>(p.y, at);
-      int const row = min(max(c * rows + at, 0), height - 1);
+    T const* const colors_of_frame = p.rgb.data + frame * frame_stride + x;
+    // Of the rows, weighted: the colors of even columns, of odd ones, and of the column on the left.
+    F even[3][kOwn / 2]{}, odd[3][kOwn / 2]{}, left[3]{};
+    F luma[2][kOwn]{};
+    constexpr int kAbove = Nearest ? 0 : 1;  // rows that are read above
+    auto const is_read = [&](int at) {
       bool const is_own = at >= 0 && at < rows && c * rows + at < height;
-      if (weight == F(0) && !is_own) return;
-      F colors[3][kColumns + 1];
+      return x < width && (is_own || subsampling_weight<F>(p.y, at) != F(0));
+    };
+    // All are requested before the first one is used.
+    OwnColors<T> requested[2 + kAbove][3];
+    T beside[2 + kAbove][3];
+#pragma unroll
+    for (int at = -kAbove; at < 2; ++at) {
+      if (!is_read(at)) continue;
+      T const* const from = colors_of_frame + min(max(c * rows + at, 0), height - 1) * p.rgb.row_stride;
 #pragma unroll
       for (int k = 0; k < 3; ++k) {
-        T const* const from = p.rgb.row(3 * frame + k, row);
-        colors[k][0] = has_left ? F(read(from[max(x - 1, 0)])) : F(0);
-        if (vectors.rgb) {
-          auto const vector = *reinterpret_cast<Vector<T, kColumns> const*>(from + x);
+        auto const* const bytes = reinterpret_cast<char const*>(from + k * channel_stride);
+        fetch_words(bytes, (width - x) * int(sizeof(T)), vectors.rgb, requested[at + kAbove][k].words);
+        if (has_left) beside[at + kAbove][k] = from[k * channel_stride - (x > 0 ? 1 : 0)];
+      }
+    }
 #pragma unroll
-          for (int j = 0; j < kColumns; ++j) colors[k][1 + j] = F(read(vector.v[j]));
-        } else {  // the border repeats the last column
+    for (int at = -kAbove; at < 2; ++at) {
+      if (!is_read(at)) continue;
+      F const weight = subsampling_weight<F>(p.y, at);
+      OwnColors<T> const(&colors)[3] = requested[at + kAbove];
 #pragma unroll
-          for (int j = 0; j < kColumns; ++j) colors[k][1 + j] = F(read(from[min(x + j, width - 1)]));
+      for (int k = 0; k < 3; ++k)
+        if (has_left) left[k] += weight * F(read(beside[at + kAbove][k]));
+#pragma unroll
+      for (int j = 0; j < kOwn; ++j) {
+        F color[3];
+#pragma unroll
+        for (int k = 0; k < 3; ++k) {
+          color[k] = colors[k].number(j);
+          if constexpr (Nearest) {
+            if (at == 0 && j % 2 == 0) even[k][j / 2] = color[k];
+          } else {
+            (j % 2 ? odd : even)[k][j / 2] += weight * color[k];
+          }
         }
-#pragma unroll
-        for (int j = 0; j <= kColumns; ++j) sums[k][j] += weight * colors[k][j];
+        if (at >= 0) luma[max(at, 0)][j] = p.code(0, color[0], color[1], color[2]);
       }
-      if (!is_own) return;
-      Vector<S, kColumns> luma;
+    }
+    F pairs[kOwn];
 #pragma unroll
-      for (int j = 0; j < kColumns; ++j)
-        luma.v[j] = code_of<S>(colors[0][1 + j] * p.matrix[0] + colors[1][1 + j] * p.matrix[1] +
-                               colors[2][1 + j] * p.matrix[2] + p.offset[0]);
-      CodeTarget const& plane = p.planes[0];
-      S* const to = plane.template row<S>(frame, row) + x * plane.column_stride;
-      if (vectors.luma) {
-        store_vector(to, luma);
-      } else {
-#pragma unroll
-        for (int j = 0; j < kColumns; ++j)
-          if (x + j < width) to[j * plane.column_stride] = luma.v[j];
-      }
-    };
-#pragma unroll
-    for (int at = -1; at < 2; ++at) add_row(at);
-
-    int const samples = is_halved ? (min(width - x, kColumns) + 1) / 2 : min(width - x, kColumns);
-    int const first = is_halved ? x / 2 : x;
-    S codes[2][kColumns];
-#pragma unroll
-    for (int j = 0; j < kColumns; ++j) {
+    for (int i = 0; i < kOwn / 2; ++i) {
       F color[3];
 #pragma unroll
       for (int k = 0; k < 3; ++k) {
-        F const before = is_halved ? sums[k][j % 2 ? 2 : 0] : F(0), after = is_halved ? sums[k][j % 2 ? 4 : 2] : F(0);
-        F const middle = is_halved ? sums[k][j % 2 ? 3 : 1] : sums[k][1 + j];
-        color[k] = !is_halved || p.x.site == ChromaSite::nearest ? middle
-                   : p.x.site == ChromaSite::between             ? (middle + after) * F(0.5)
-                                                                 : middle * F(0.5) + (before + after) * F(0.25);
+        F const here = even[k][i], before = i > 0 ? odd[k][max(i - 1, 0)] : left[k];
+        F const after = x + 2 * i + 1 < width ? odd[k][i] : here;  // the border repeats the last column
+        color[k] = Nearest                           ? here
+                   : p.x.site == ChromaSite::between ? (here + after) * F(0.5)
+                                                     : here * F(0.5) + (before + after) * F(0.25);
       }
 #pragma unroll
-      for (int k = 0; k < 2; ++k) {
-        F const* const m = p.matrix + 3 + 3 * k;
-        codes[k][j] = code_of<S>(color[0] * m[0] + color[1] * m[1] + color[2] * m[2] + p.offset[1 + k]);
-      }
+      for (int k = 0; k < 2; ++k) pairs[2 * i + k] = p.code(1 + k, color[0], color[1], color[2]);
     }
-    CodeTarget const &u = p.planes[1], &v = p.planes[2];
-    if (vectors.pairs) {
-      bool const swapped = v.data < u.data;
-      Vector<S, 4> pairs;
+    CodeTarget const &y = p.planes[0], &u = p.planes[1], &v = p.planes[2];
+    if (vectors.packed) {
+      F packed[2 * kOwn];
 #pragma unroll
-      for (int j = 0; j < 4; ++j) pairs.v[j] = codes[(j % 2 == 1) != swapped][j / 2];
-      store_vector((swapped ? v : u).template row<S>(frame, c) + 2 * first, pairs);
+      for (int j = 0; j < kOwn; ++j) packed[2 * j] = luma[0][j], packed[2 * j + 1] = pairs[j];
+      S* const to = y.template row<S>(frame, c) + 2 * x;
+      store_codes(to, codes_of<S>(packed), vectors.luma, 2 * x, 2 * width);
+      continue;
+    }
+#pragma unroll
+    for (int r = 0; r < 2; ++r)
+      if (r < rows && c * rows + r < height)
+        store_codes(y.template row<S>(frame, c * rows + r) + x, codes_of<S>(luma[r]), vectors.luma, x, width);
+    if (u.column_stride == 2) {
+      bool const is_swapped = v.data < u.data;
+      F ordered[kOwn];
+#pragma unroll
+      for (int j = 0; j < kOwn; ++j) ordered[j] = is_swapped ? pairs[j ^ 1] : pairs[j];
+      S* const to = (is_swapped ? v : u).template row<S>(frame, c) + x;
+      store_codes(to, codes_of<S>(ordered), vectors.chroma, x, 2 * p.x.chroma_size);
     } else {
 #pragma unroll
       for (int k = 0; k < 2; ++k) {
-        CodeTarget const& plane = p.planes[1 + k];
-        S* const to = plane.template row<S>(frame, c) + first * plane.column_stride;
+        F plane[kOwn / 2];
 #pragma unroll
-        for (int j = 0; j < kColumns; ++j)
-          if (j < samples) to[j * plane.column_stride] = codes[k][j];
+        for (int i = 0; i < kOwn / 2; ++i) plane[i] = pairs[2 * i + k];
+        S* const to = p.planes[1 + k].template row<S>(frame, c) + x / 2;
+        store_codes(to, codes_of<S>(plane), vectors.chroma, x / 2, p.x.chroma_size);
       }
     }
   }
 }
 
 template <class S, class T>
-int run(CodedFrames<T> const& p, CUstream_st* stream) {
-  auto const are_vectors = [](void const* data, int64_t row_stride, int64_t frame_stride, int64_t size) {
-    return reinterpret_cast<uintptr_t>(data) % (kColumns * size) == 0 && (row_stride | frame_stride) % kColumns == 0;
+int run_codes(CodedFrames<T> p, CUstream_st* stream) {
+  if constexpr (sizeof(S) == 1 && sizeof(Compute<T>) == 4) {
+    for (float& x : p.matrix) x /= 255;
+    for (float& x : p.offset) x /= 255;
+  }
+  auto const are_vectors = [](void const* data, int64_t row_stride, int64_t frame_stride, int count, int64_t size) {
+    int64_t const bytes = min(count * size, int64_t(16));
+    return (reinterpret_cast<intptr_t>(data) | row_stride * size | frame_stride * size) % bytes == 0;
   };
   CodeTarget const &y = p.planes[0], &u = p.planes[1], &v = p.planes[2];
-  bool const whole = p.x.size % kColumns == 0;
-  int64_t const apart = static_cast<S*>(v.data) - static_cast<S*>(u.data);
-  CodeTarget const& first = apart < 0 ? v : u;
+  bool const is_packed = y.column_stride == 2, has_planes = u.column_stride == 1;
+  bool const whole = p.x.size % kOwn == 0;
   CodedVectors const vectors{
-      whole && p.rgb.step == 1 &&
-          are_vectors(p.rgb.data, p.rgb.row_stride, p.rgb.outer_stride | p.rgb.inner_stride, sizeof(T)),
-      whole && y.column_stride == 1 && are_vectors(y.data, y.row_stride, y.frame_stride, sizeof(S)),
-      whole && p.x.is_halved() && (apart == 1 || apart == -1) && u.column_stride == 2 &&
-          are_vectors(first.data, u.row_stride, u.frame_stride, sizeof(S))};
-  dim3 const blocks(unsigned(ceil_div(p.x.size, 32 * kColumns)), unsigned(ceil_div(p.y.chroma_size, kWarps)),
+      are_vectors(p.rgb.data, p.rgb.row_stride, p.rgb.outer_stride | p.rgb.inner_stride, kOwn, sizeof(T)),
+      whole && are_vectors(y.data, y.row_stride, y.frame_stride, is_packed ? 2 * kOwn : kOwn, sizeof(S)),
+      whole &&
+          are_vectors(min(u.data, v.data), u.row_stride, u.frame_stride, has_planes ? kOwn / 2 : kOwn, sizeof(S)) &&
+          (!has_planes || are_vectors(v.data, 0, 0, kOwn / 2, sizeof(S))),
+      is_packed};
+  dim3 const blocks(unsigned(ceil_div(p.x.size, 32 * kOwn)), unsigned(ceil_div(p.y.chroma_size, kRowWarps)),
                     unsigned(min(p.rgb.count() / 3, int64_t(65535))));
-  run_coded<S><<<blocks, kThreads, 0, stream>>>(p, vectors);
+  bool const is_nearest = p.x.site == ChromaSite::nearest && p.y.site == ChromaSite::nearest;
+  auto* const kernel = is_nearest ? run_coded<S, T, true> : run_coded<S, T, false>;
+  kernel<<<blocks, kRowThreads, 0, stream>>>(p, vectors);
   return cudaGetLastError();
 }
 
@@ -136,12 +204,7 @@ int run(CodedFrames<T> const& p, CUstream_st* stream) {
 
 template <class T>
 int coded_frames(CodedFrames<T> const& p, CUstream_st* stream) {
-  if (p.code_bytes == 1) return run<uint8_t>(p, stream);
-  if (p.code_bytes == 2) return run<uint16_t>(p, stream);
-  if constexpr (!__is_same(T, uint8_t))
-    return run<T>(p, stream);
-  else
-    return cudaErrorInvalidValue;  // which the entry has refused
+  return with_codes<T>(p.code_bytes, [&](auto code) { return run_codes<typename decltype(code)::type>(p, stream); });
 }
 
 KV_INSTANTIATE_WITH_BYTES(coded_frames, CodedFrames)

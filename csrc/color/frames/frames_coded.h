@@ -33,6 +33,10 @@ struct CodedFrames {
   FrameAxis x, y;
   Compute<T> matrix[9], offset[3];
 
+  template <class V>
+  KV_HD V code(int k, V const& red, V const& green, V const& blue) const {
+    return red * matrix[3 * k] + (green * matrix[3 * k + 1] + (blue * matrix[3 * k + 2] + offset[k]));
+  }
   KV_HD int rows_of_chroma() const { return y.is_halved() ? 2 : 1; }
 };
 

@@ -46,14 +46,10 @@ KV_HD void code_rows(CodedFrames<T> const& p, int64_t begin, int64_t end) {
       auto const pixels = [&](auto n, int64_t x) KV_INLINE {
         constexpr int N = decltype(n)::value;
         Lanes<F, N> const r = load<N>(colors[0] + x), g = load<N>(colors[1] + x), b = load<N>(colors[2] + x);
-        auto const code = [&](int k) KV_INLINE {
-          F const* const m = p.matrix + 3 * k;
-          return Lanes<F, N>(r * m[0] + g * m[1] + b * m[2] + p.offset[k]);
-        };
-        if (is_own) store<N>(luma + x, code(0));
+        if (is_own) store<N>(luma + x, p.code(0, r, g, b));
         if (weight != F(0))
           for (int k = 0; k < 2; ++k) {
-            Lanes<F, N> const value = code(1 + k) * weight;
+            Lanes<F, N> const value = p.code(1 + k, r, g, b) * weight;
             store<N>(sums[k] + x, is_first ? value : Lanes<F, N>(load<N>(sums[k] + x) + value));
           }
       };

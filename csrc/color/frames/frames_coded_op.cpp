@@ -14,10 +14,11 @@ Tensor coded_frames(Tensor const& input, std::vector<int64_t> plan, std::vector<
   char const* const op = kCodedFrames;
   check_images(op, "input", input);
   KV_CHECK(input.size(1) == 3 && input.numel() > 0, op, ": expected input of 3 channels with a pixel");
-  KV_CHECK(plan.size() == 3 && numbers.size() == 12, op, ": expected a plan of 3 and 12 numbers");
+  KV_CHECK(plan.size() == 4 && numbers.size() == 12, op, ": expected a plan of 4 and 12 numbers");
   KV_CHECK(plan[0] >= 0 && plan[0] <= int64_t(FrameLayout::p010), op, ": there is no layout ", plan[0]);
   KV_CHECK(plan[1] == 0 || plan[1] == 1, op, ": expected integers or not, got ", plan[1]);
-  KV_CHECK(plan[2] >= 0 && plan[2] <= 3, op, ": there is no siting ", plan[2]);
+  for (int i = 2; i < 4; ++i)
+    KV_CHECK(plan[i] >= 0 && plan[i] <= int64_t(ChromaSite::between), op, ": there is no site of chroma ", plan[i]);
   auto const layout = FrameLayout(plan[0]);
   int64_t const frames = input.size(0), height = input.size(2), width = input.size(3);
   KV_CHECK(height < int64_t(1) << 24 && width < int64_t(1) << 24, op, ": expected fewer than 2^24 rows and columns");
@@ -31,8 +32,8 @@ Tensor coded_frames(Tensor const& input, std::vector<int64_t> plan, std::vector<
                                                         : ScalarType::Byte;
   int64_t const luma = height * width, chroma = chroma_height * chroma_width, size = luma + 2 * chroma;
   Tensor const codes = empty({frames, size}, x, Layout::planar, type);
-  FrameAxis const x_axis{int(width), int(chroma_width), chroma_sites(plan[2])[0]},
-      y_axis{int(height), int(chroma_height), chroma_sites(plan[2])[1]};
+  FrameAxis const x_axis{int(width), int(chroma_width), ChromaSite(plan[2])},
+      y_axis{int(height), int(chroma_height), ChromaSite(plan[3])};
   dispatch_floating_and_uint8(op, x, [&](auto stored) {
     using T = typename decltype(stored)::type;
     CodedFrames<T> p{};

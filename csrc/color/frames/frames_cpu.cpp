@@ -63,6 +63,12 @@ struct AxisWeights {
     ranges.data[2 * i + 1] = last - first;
     for (int j = first; j < last; ++j) weights.data[i * stride + j - first] = weight(j);
   }
+  // The transpose of `dot`.
+  KV_HD void add(int64_t i, F value, F* row) const {
+    int const first = ranges.data[2 * i], count = ranges.data[2 * i + 1];
+    F const* const w = weights.data + i * stride;
+    for (int j = 0; j < count; ++j) row[first + j] += w[j] * value;
+  }
   KV_HD F dot(int64_t i, F const* row) const {
     int const first = ranges.data[2 * i], count = ranges.data[2 * i + 1];
     F const* const w = weights.data + i * stride;
@@ -172,7 +178,7 @@ void planes_to_rgb(PlanesToRgb<T> const& p, int64_t begin, int64_t end) {
     } else {
       double exact[9];
       F inverse[9];
-      invert_up_to_factor(p.map + frame * p.map_stride, p.from_result, exact);
+      invert_up_to_factor(p.map + frame * p.map_stride, p.is_affine, p.from_result, exact);
       for (int k = 0; k < 9; ++k) inverse[k] = F(exact[k]);
       for (; r < last; ++r) {
         for (int64_t i = 0; i < width; ++i) {
@@ -197,5 +203,85 @@ void planes_to_rgb(PlanesToRgb<T> const& p, int64_t begin, int64_t end) {
 }
 
 KV_INSTANTIATE_WITH_BYTES(planes_to_rgb, PlanesToRgb)
+
+namespace {
+
+// To one row of a plane of a frame that boxes read.
+template <class T>
+KV_HD void gradient_row(PlanesToRgbBackward<T> const& p, BoxRows<T> const& box, int64_t frame, int plane, int r,
+                        Compute<T>* taken, Compute<T>* sums) {
+  using F = Compute<T>;
+  FrameAxis const& axis = p.forward.y;
+  bool const is_halved = plane && axis.is_halved();
+  int const first = is_halved ? 2 * r - 1 : r, last = is_halved ? 2 * r + 3 : r + 1;  // the pixels that may take it
+  int64_t const height = p.grad.height, width = p.grad.width;
+  ResultRange const results = box.y.results_of(first, last, int(height));
+  for (int64_t x = 0; x < width; ++x) taken[x] = 0;
+  for (int y = results.first; y < results.last; ++y) {
+    PixelWindow<F> const w = box.y.window(y);
+    F const weight = w.plane_weight(plane, axis, r) / w.sum();
+    if (weight == F(0)) continue;
+    for (int64_t x = 0; x < width; ++x)
+      taken[x] += weight * p.taken(plane, frame, y, x, [](T const* at) KV_INLINE { return load<1>(at); });
+  }
+  int const count = p.width(plane);
+  for (int64_t x = 0; x < count; ++x) sums[x] = 0;
+  for (int64_t x = 0; x < width; ++x) (plane ? box.chroma : box.luma).add(x, taken[x], sums);
+  T* const to = p.row(plane, frame, r);
+  for (int64_t x = 0; x < count; ++x) store<1>(to + x, sums[x]);
+}
+
+// To a plane of a frame that matrices read: what results take is added up in their order.
+template <class T>
+KV_HD void scatter_plane(PlanesToRgbBackward<T> const& p, int64_t frame, int plane) {
+  using F = Compute<T>;
+  PlanesToRgb<T> const& f = p.forward;
+  int64_t const height = p.height(plane), width = p.width(plane);
+  Scratch<F> sums(height * width);
+  for (int64_t i = 0; i < height * width; ++i) sums.data[i] = 0;
+  double exact[9];
+  F inverse[9];
+  invert_up_to_factor(f.map + frame * f.map_stride, f.is_affine, f.from_result, exact);
+  for (int k = 0; k < 9; ++k) inverse[k] = F(exact[k]);
+  for (int64_t y = 0; y < p.grad.height; ++y)
+    for (int64_t x = 0; x < p.grad.width; ++x) {
+      Preimage<F> const at(inverse, F(x), F(y));
+      PixelWindow<F> const wx = f.window_at(at.x, f.x), wy = f.window_at(at.y, f.y);
+      F const taken = p.taken(plane, frame, y, x, [](T const* at) KV_INLINE { return load<1>(at); });
+      int const first_row = plane ? wy.first_chroma(f.y) : wy.first, last_row = plane ? wy.last_chroma(f.y) : wy.last;
+      int const first = plane ? wx.first_chroma(f.x) : wx.first, last = plane ? wx.last_chroma(f.x) : wx.last;
+      for (int r = first_row; r < last_row; ++r) {
+        F const of_row = taken * wy.plane_weight(plane, f.y, r);
+        for (int c = first; c < last; ++c) sums.data[r * width + c] += of_row * wx.plane_weight(plane, f.x, c);
+      }
+    }
+  T* const to = p.row(plane, frame, 0);
+  for (int64_t i = 0; i < height * width; ++i) store<1>(to + i, sums.data[i]);
+}
+
+}  // namespace
+
+template <class T>
+void planes_to_rgb_backward(PlanesToRgbBackward<T> const& p, int64_t begin, int64_t end) {
+  using F = Compute<T>;
+  if (p.forward.kind == FrameMap::matrices) {
+    for (int64_t i = begin; i < end; ++i) scatter_plane(p, i / 3, int(i % 3));
+    return;
+  }
+  int64_t const rows = p.rows_of_frame(), height = p.height(0), chroma_height = p.height(1);
+  Scratch<F> memory(p.grad.width + p.width(0));
+  for (int64_t i = begin; i < end;) {
+    int64_t const frame = i / rows, last = min(end, (frame + 1) * rows);
+    BoxRows<T> const box(p.forward, frame);
+    for (; i < last; ++i) {
+      int64_t const row = i - frame * rows, of_chroma = row - height;
+      int const plane = of_chroma < 0 ? 0 : of_chroma < chroma_height ? 1 : 2;
+      int64_t const r = plane ? of_chroma - (plane - 1) * chroma_height : row;
+      gradient_row(p, box, frame, plane, int(r), memory.data, memory.data + p.grad.width);
+    }
+  }
+}
+
+KV_INSTANTIATE(planes_to_rgb_backward, PlanesToRgbBackward)
 
 }  // namespace kv::color::KV_ISA

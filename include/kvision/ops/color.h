@@ -8,6 +8,7 @@ namespace kvision::ops {
 
 namespace detail {
 
+inline variable_list planes_to_rgb_gradients(Backward const& b);
 inline variable_list raw_to_rgb_gradients(Backward const& b);
 inline variable_list raw_to_rgb_backward_gradients(Backward const& b);
 
@@ -26,7 +27,7 @@ inline constexpr Operator<"coded_frames", Tensor(Tensor input, Ints plan, Floats
 
 inline constexpr Operator<"planes_to_rgb",
                           Tensor(Tensor y, Tensor u, Tensor v, OptionalTensor map, Ints plan, Floats numbers)>
-    planes_to_rgb{no_gradient};
+    planes_to_rgb{Rule{detail::planes_to_rgb_gradients, 1}};
 
 // --- color/program_of_numbers_op.cpp
 
@@ -59,6 +60,13 @@ inline constexpr Operator<"join_chroma", Tensor(Tensor luma, Tensor chroma, int6
 // --- rules
 
 namespace detail {
+
+inline variable_list planes_to_rgb_gradients(Backward const& b) {
+  return b.run("planes_to_rgb_backward",
+               {b.grads[0], b.results[0].detach(), b.arguments[0], b.arguments[1], b.arguments[2], b.arguments[3],
+                b.arguments[4], b.arguments[5]},
+               no_gradient);
+}
 
 inline variable_list raw_to_rgb_gradients(Backward const& b) {
   return b.run("raw_to_rgb_backward", {b.grads[0], b.arguments[1]}, Rule{raw_to_rgb_backward_gradients, 0, false});

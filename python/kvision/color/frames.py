@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple, TypeAlias, get_args
 
@@ -10,6 +11,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from kvision import _check
+from kvision._constants import constant
 from kvision._modes import CHROMA_SITE, DTYPE
 from kvision._ops import register, saturate_to_byte
 from kvision.color.steps import NAMES, STEPS
@@ -26,7 +28,6 @@ _RANGES = get_args(ColorRange)
 Chroma: TypeAlias = Literal["nearest", "linear"]
 _CHROMAS = get_args(Chroma)
 Siting: TypeAlias = Literal["left", "center", "topleft"]
-_SITINGS = get_args(Siting)
 # The shares of red and blue in luma (ITU-R BT.601-7, BT.709-6, BT.2020-2 with non-constant luminance).
 _LUMA: dict[Matrix, tuple[float, float]] = {
     "bt601": (0.299, 0.114),
@@ -38,6 +39,12 @@ _DTYPES = tuple(getattr(torch, name) for name in DTYPE)
 # The weight of luma pixels 2 c - 1 to 2 c + 2 for chroma sample c along an axis, by where the sample is: `nearest` repeats it,
 # `cosited` samples are at pixel 2 c, `between` ones in the middle of pixels 2 c and 2 c + 1.
 _NEAREST, _COSITED, _BETWEEN = CHROMA_SITE.values()
+# Where chroma is along x and y.
+_SITES: dict[Siting, tuple[int, int]] = {
+    "left": (_COSITED, _BETWEEN),
+    "center": (_BETWEEN, _BETWEEN),
+    "topleft": (_COSITED, _COSITED),
+}
 # How boxes are read: as they are, or antialiased. So are matrices as windows of whole pixels, by their edges or by the centers of
 # their outermost pixels.
 _PLAIN, _ANTIALIASED, _CENTERS = 0, 1, 2
@@ -53,11 +60,6 @@ class Reading(NamedTuple):
 
 
 PLAINLY = Reading()
-
-
-def _axes_of(chroma: int) -> tuple[int, int]:
-    """Where chroma is along x and y, by its number: 0 is nearest, then _SITINGS."""
-    return ((_NEAREST, _NEAREST), (_COSITED, _BETWEEN), (_BETWEEN, _BETWEEN), (_COSITED, _COSITED))[chroma]
 
 
 # --- the operator ----------------------------------------------------------------------------------------------------
@@ -131,6 +133,8 @@ def _warped(
     yuv: Tensor, matrix: Tensor, height: int, width: int, is_inverse: int, nearest: int, border: int
 ) -> tuple[Tensor, Tensor]:
     """Planes (B, 3, height, width) at the sources of the result's pixels, and the share of these that is in the frame."""
+    if matrix.shape[1] == 2:
+        matrix = F.pad(matrix, (0, 0, 0, 1)) + constant(((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)), matrix)
     a, b, c = matrix.unbind(1)
     adjugate = torch.stack([torch.linalg.cross(b, c), torch.linalg.cross(c, a), torch.linalg.cross(a, b)], 2)
     determinant = (a * adjugate[..., 0]).sum(1)[:, None, None]
@@ -158,12 +162,11 @@ def _warped(
 def _reference(
     y: Tensor, u: Tensor, v: Tensor, map: Tensor | None, plan: Sequence[int], numbers: Sequence[float]
 ) -> Tensor:
-    height, width, dtype_number, chroma, kind, *options = plan
+    height, width, dtype_number, along_x, along_y, kind, *options = plan
     if not height:
         height, width = y.shape[1:]
     dtype = _DTYPES[dtype_number]
     wide = torch.float64 if torch.float64 in (dtype, y.dtype) else torch.float32
-    along_x, along_y = _axes_of(chroma)
     whole = (_upsampled(_upsampled(c.to(wide), y.shape[1], 1, along_y), y.shape[2], 2, along_x) for c in (u, v))
     yuv = torch.stack(torch.broadcast_tensors(y.to(wide), *whole), 1)
     inside: Tensor | float = 1.0
@@ -199,24 +202,56 @@ def _fake(y: Tensor, u: Tensor, v: Tensor, map: Tensor | None, plan: Sequence[in
     return y.new_empty((batch, 3, height, width), dtype=_DTYPES[plan[2]])
 
 
+def _backward_reference(
+    grad: Tensor,
+    result: Tensor,
+    y: Tensor,
+    u: Tensor,
+    v: Tensor,
+    map: Tensor | None,
+    plan: Sequence[int],
+    numbers: Sequence[float],
+) -> tuple[Tensor, ...]:
+    # Clamped are results that equal a bound as they are stored.
+    bounds = (constant(tuple(numbers[i : i + 3]), grad, _DTYPES[plan[2]]).to(grad.dtype) for i in (15, 18))
+    low, high = (bound.view(3, 1, 1) for bound in bounds)
+    taken = torch.where((result > low) & (result < high), grad, 0.0)
+    unbounded = [*numbers[:15], *[-math.inf] * 3, *[math.inf] * 3]
+    own_plan = [*plan[:2], _DTYPES.index(grad.dtype), *plan[3:]]
+
+    def colors(y: Tensor, u: Tensor, v: Tensor) -> Tensor:
+        return _reference(y, u, v, map, own_plan, unbounded)
+
+    pulled_back: Any = torch.func.vjp(colors, *(x.expand(grad.shape[0], -1, -1) for x in (y, u, v)))
+    return tuple(pulled_back[1](taken))
+
+
+def _backward_sizes(grad: Tensor, result: Tensor, *planes: Any) -> list[Sequence[Any]]:
+    return [(grad.shape[0], *x.shape[1:]) for x in planes[:3]]
+
+
 def _kernel_serves(y: Tensor, *args: Any) -> str | None:
     """Frames have at least one pixel, and there is at least one frame."""
     return None if y.numel() else f"there is no kernel for empty tensors, here {tuple(y.shape)}"
 
 
 # RGB (B, 3, h, w) of the planes y (B, H, W), u and v (B, (H + 1) // 2 or H, (W + 1) // 2 or W): the whole frame, or that part of
-# it that `map` says, by boxes (B, 4) or by matrices (B, 3, 3) from pixels of the frame to those of the result. `plan` holds
-# height and width of the result, 0 for those of the frame, its DType, the number of the chroma's siting (0: nearest) and
-# a Reading of the map. `numbers` are the color matrix, its offset, the
-# bias, the lowest and the highest colors.
+# it that `map` says, by boxes (B, 4) or by matrices (B, 2, 3) or (B, 3, 3) from pixels of the frame to those of the result.
+# `plan` holds height and width of the result, 0 for those of the frame, its DType, the sites of chroma along x and y and a
+# Reading of the map. `numbers` are the color matrix, its offset, the bias, the lowest and the highest colors.
 _planes_to_rgb = register(
     "planes_to_rgb",
     _reference,
     fake=_fake,
+    gradients="y, u, v: planes_to_rgb_backward(result=detach(result)); map: reference",
     bytes=True,
     uint16=True,
     casts_outputs=True,
     supports=_kernel_serves,
+)
+# What planes gave to colors that were not clamped, (B, H, W) for each of them.
+_planes_to_rgb_backward = register(
+    "planes_to_rgb_backward", _backward_reference, fake=_backward_sizes, supports=_kernel_serves
 )
 
 
@@ -386,13 +421,13 @@ def _planes(op: str, planes: Any, layout: Layout, size: Any) -> tuple[Tensor, Te
     return y, u, v, single
 
 
-def _check_colors(op: str, matrix: Any, color_range: Any, chroma: Any, siting: Any) -> int:
-    """The number of the chroma's siting."""
+def _check_colors(op: str, matrix: Any, color_range: Any, chroma: Any, siting: Any) -> tuple[int, int]:
+    """The sites of chroma along x and y."""
     _check.choice(op, "matrix", matrix, tuple(_LUMA))
     _check.choice(op, "color_range", color_range, _RANGES)
     _check.choice(op, "chroma", chroma, _CHROMAS)
-    _check.choice(op, "siting", siting, _SITINGS)
-    return 0 if chroma == "nearest" else 1 + _SITINGS.index(siting)
+    _check.choice(op, "siting", siting, tuple(_SITES))
+    return (_NEAREST, _NEAREST) if chroma == "nearest" else _SITES[siting]
 
 
 def _per_channel(op: str, name: str, value: Any, default: float) -> list[float]:
@@ -480,7 +515,7 @@ class Frames:
         size: Any,
         dtype: torch.dtype | None,
     ) -> None:
-        self._site = _check_colors(op, matrix, color_range, chroma, siting)
+        self._sites = _check_colors(op, matrix, color_range, chroma, siting)
         self._y, self._u, self._v, self.is_single = _planes(op, planes, layout, size)
         if dtype is not None and (not isinstance(dtype, torch.dtype) or dtype not in _DTYPES):
             raise TypeCheckError(f"{op}: expected dtype to be torch.uint8 or a floating-point type, got {dtype!r}")
@@ -536,7 +571,7 @@ class Frames:
         levels = 255.0 if dtype == torch.uint8 else 1.0
         scaled = ([value * levels for value in values] for values in (factors, shifts))
         numbers = _color_numbers(self._codes, self._matrix, *scaled)
-        plan = [*(dsize or (0, 0)), _DTYPES.index(stored), self._site, *(int(option) for option in reading)]
+        plan = [*(dsize or (0, 0)), _DTYPES.index(stored), *self._sites, *(int(option) for option in reading)]
         rgb: Tensor = _planes_to_rgb(y, self._u, self._v, map, plan, numbers)
         if stored != dtype:
             rgb = saturate_to_byte(rgb) if dtype == torch.uint8 else rgb.to(dtype)
@@ -757,9 +792,6 @@ def warp_frames(
         raise ShapeError(
             f"{op}: expected M of shape (B, 2, 3) or (B, 3, 3), got {tuple(M.shape)}", actual_shape=M.shape
         )
-    if M.shape[1] == 2:
-        M = F.pad(M.to(torch.promote_types(M.dtype, torch.float32)), (0, 0, 0, 1))
-        M = M + M.new_tensor([[0.0, 0, 0], [0, 0, 0], [0, 0, 1]])
     colors = (layout, matrix, color_range, chroma, siting, size, mean, std, dtype)
     return _run(op, planes, M, dsize, *colors)
 
@@ -781,7 +813,7 @@ def _subsampled(x: Tensor, dim: int, kind: int) -> Tensor:
 
 
 def _coded_reference(input: Tensor, plan: Sequence[int], numbers: Sequence[float]) -> Tensor:
-    number, is_integer, chroma = plan
+    number, is_integer, along_x, along_y = plan
     layout = _LAYOUTS[number]
     wide = torch.float64 if input.dtype == torch.float64 else torch.float32
     red, green, blue = input.to(wide).unbind(1)
@@ -791,7 +823,6 @@ def _coded_reference(input: Tensor, plan: Sequence[int], numbers: Sequence[float
         return red * a + green * b + blue * c + numbers[9 + k]
 
     y, u, v = coded(0), coded(1), coded(2)
-    along_x, along_y = _axes_of(chroma)
     u, v = (_subsampled(c, 2, along_x) for c in (u, v))
     if layout != "yuy2":
         u, v = (_subsampled(c, 1, along_y) for c in (u, v))
@@ -818,7 +849,7 @@ def _fake_codes(input: Tensor, plan: Sequence[int], numbers: Sequence[float]) ->
 
 
 # The codes of each frame (B, N) in their order, of RGB (B, 3, H, W). `plan` holds the number of the layout, whether codes are
-# integers, and the number of the chroma's siting. `numbers` are the matrix from colors to codes, and its offset.
+# integers, and the sites of chroma along x and y. `numbers` are the matrix from colors to codes, and its offset.
 _coded_frames = register(
     "coded_frames",
     _coded_reference,
@@ -873,7 +904,7 @@ def rgb_to_frames(
     """
     op = "rgb_to_frames"
     _check.choice(op, "layout", layout, _LAYOUTS)
-    number = _check_colors(op, matrix, color_range, chroma, siting)
+    sites = _check_colors(op, matrix, color_range, chroma, siting)
     _check.flag(op, "split", split)
     _check.is_tensor(op, "image", image)
     _check.floating_or_bytes(op, "image", image)
@@ -903,7 +934,7 @@ def rgb_to_frames(
     widths = (luma, of_chroma, of_chroma)
     weights = [w * width * level for row, width in zip(_ycc_of_rgb(matrix), widths) for w in row]
     offsets = [black * step, gray * step, gray * step]
-    codes = _coded_frames(rgb, [_LAYOUTS.index(layout), int(is_integer), number], [*weights, *offsets])
+    codes = _coded_frames(rgb, [_LAYOUTS.index(layout), int(is_integer), *sites], [*weights, *offsets])
     codes = codes if codes.dtype == dtype else codes.to(dtype)
     if image.dim() == 3:
         codes = codes[0]

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-import torch.nn.functional as F
 from torch import Tensor
 
 from kvision._constants import constant
@@ -45,11 +44,7 @@ def warped_frames(
     op: str, frames: Frames, name: str, M: Tensor, size: Sequence[int], reading: Reading = PLAINLY
 ) -> Tensor:
     """The frames warped by matrices (B, 2, 3) or (B, 3, 3)."""
-    M = frames._map_of(op, name, M).to(frames.computed)
-    if M.shape[1] == 2:
-        M = F.pad(M, (0, 0, 0, 1))
-        M = M + constant(((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)), M)
-    return frames._read(M, (size[0], size[1]), reading)
+    return frames._read(frames._map_of(op, name, M), (size[0], size[1]), reading)
 
 
 def reading_of(mode: str, padding_mode: str, fill_value: Any, antialias: bool, from_result: bool) -> Reading | None:

@@ -150,11 +150,19 @@ __device__ __forceinline__ void fetch_words(char const* from, int bytes, bool ve
     for (int k = 0; k < N; ++k) words[k] = vector.v[k];
     return;
   }
-  int const skew = int(reinterpret_cast<uintptr_t>(from) % 4), count = (min(bytes, 4 * N) + skew + 3) / 4;
+  int const skew = int(reinterpret_cast<uintptr_t>(from) % 4), end = min(bytes, 4 * N + 4 - skew) + skew, whole = end / 4;
   auto const* const aligned = reinterpret_cast<uint32_t const*>(from - skew);
   uint32_t own[N + 1];
 #pragma unroll
-  for (int k = 0; k <= N; ++k) own[k] = k < count ? aligned[k] : 0;
+  for (int k = 0; k <= N; ++k) own[k] = k < whole ? aligned[k] : 0;
+  if (end % 4 != 0) {  // the word at the end of the last row may not be there as a whole
+    uint32_t part = 0;
+    for (int i = 4 * whole; i < end; ++i)
+      if (i >= skew) part |= uint32_t(uint8_t(from[i - skew])) << 8 * (i % 4);
+#pragma unroll
+    for (int k = 0; k <= N; ++k)
+      if (k == whole) own[k] = part;
+  }
 #pragma unroll
   for (int k = 0; k < N; ++k) words[k] = __funnelshift_r(own[k], own[k + 1], 8 * skew);
 }
@@ -286,9 +294,11 @@ struct CodeRows {
   static constexpr int kOfLane = Plain ? kWords : 1, kOfSlot = 32 * kSlot;
   template <int N>
   __device__ __forceinline__ static void ask_words(char const* from, int bytes, uint32_t to) {
-    int const skew = int(reinterpret_cast<uintptr_t>(from) % 4), count = (min(bytes, 4 * N) + skew + 3) / 4;
+    int const skew = int(reinterpret_cast<uintptr_t>(from) % 4), end = bytes + skew;
+    int const count = (min(bytes, 4 * N) + skew + 3) / 4;
 #pragma unroll
-    for (int k = 0; k <= N; ++k) copy_async_if<4>(to + 128 * k, from - skew + 4 * k, k < count, false);
+    for (int k = 0; k <= N; ++k)
+      copy_part_async_if<4>(to + 128 * k, from - skew + 4 * k, k < count, min(end - 4 * k, 4));
   }
   template <int N>
   __device__ __forceinline__ static void words_of(char const* from, uint32_t const* ring, uint32_t (&words)[N]) {

@@ -4,7 +4,7 @@
 //
 // A thread has eight columns of luma and four pixels of the result. It goes down the frame; of its neighbors it needs
 // one column on either side, by shuffles, so the first and the last thread of a warp have no pixels of their own.
-// Beyond the frame there are zeros, and pixels at its border are divided by the weights within. Included by frames.cu.
+// Beyond the frame there are zeros, and pixels at its border are divided by the weights within.
 #pragma once
 
 #include <utility>

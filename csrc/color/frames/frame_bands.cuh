@@ -2,8 +2,10 @@
 // some columns of it, and all columns of the frame that these take, which are at most kSpan.
 //
 //   weights   The block computes those of its rows once, each warp those of its columns.
-//   down      A thread has kOwn columns of the frame. It goes down the rows of codes, which asynchronous copies bring to
-//             shared memory kAhead rows ahead. Each is converted once, and added to the rows of the result that take it.
+//   down      A thread has kOwn columns of the frame. It goes down the rows of codes, which asynchronous copies bring
+//   to
+//             shared memory kAhead rows ahead. Each is converted once, and added to the rows of the result that take
+//             it.
 //   across    A thread has a column of the result. It adds up the sums of the rows, which are in shared memory.
 //
 // Warps wait for each other behind the weights alone. Chroma is added up where it is, at half the resolution. Where a

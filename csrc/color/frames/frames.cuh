@@ -150,7 +150,8 @@ __device__ __forceinline__ void fetch_words(char const* from, int bytes, bool ve
     for (int k = 0; k < N; ++k) words[k] = vector.v[k];
     return;
   }
-  int const skew = int(reinterpret_cast<uintptr_t>(from) % 4), end = min(bytes, 4 * N + 4 - skew) + skew, whole = end / 4;
+  int const skew = int(reinterpret_cast<uintptr_t>(from) % 4), end = min(bytes, 4 * N + 4 - skew) + skew,
+            whole = end / 4;
   auto const* const aligned = reinterpret_cast<uint32_t const*>(from - skew);
   uint32_t own[N + 1];
 #pragma unroll
@@ -295,10 +296,11 @@ struct CodeRows {
   template <int N>
   __device__ __forceinline__ static void ask_words(char const* from, int bytes, uint32_t to) {
     int const skew = int(reinterpret_cast<uintptr_t>(from) % 4), end = bytes + skew;
-    int const count = (min(bytes, 4 * N) + skew + 3) / 4;
+    int const count = (min(bytes, 4 * N) + skew + 3) / 4, whole = min(count, end / 4);
 #pragma unroll
-    for (int k = 0; k <= N; ++k)
-      copy_part_async_if<4>(to + 128 * k, from - skew + 4 * k, k < count, min(end - 4 * k, 4));
+    for (int k = 0; k <= N; ++k) copy_async_if<4>(to + 128 * k, from - skew + 4 * k, k < whole, false);
+    // The word at the end of the last row may not be there as a whole.
+    if (whole < count) copy_start<4>(to + 128 * whole, from - skew + 4 * whole, end - 4 * whole);
   }
   template <int N>
   __device__ __forceinline__ static void words_of(char const* from, uint32_t const* ring, uint32_t (&words)[N]) {

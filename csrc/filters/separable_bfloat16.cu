@@ -1,11 +1,11 @@
-// The strip kernel of separable_strip.cuh, for BFloat16.
-#include "separable_strip.cuh"
+// The kernels of separable_strip.cuh and separable_groups.cuh, for BFloat16.
+#include "separable_groups.cuh"
 
 namespace kv::filters::cuda {
 
 template <>
 int separable_strips(Separable<BFloat16> const& p, float divisor, CUstream_st* stream) {
-  return launch_strip_of_size<BFloat16, false>(p, divisor, stream);
+  return launch_strips_or_groups(p, divisor, stream);
 }
 
 }  // namespace kv::filters::cuda

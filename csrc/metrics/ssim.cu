@@ -382,41 +382,40 @@ struct GradientRows {
   Rows<M> across[2];       // sums of derivatives along x
 };
 
-// M: 3 for the gradient of x, 4 for both. Groups of four rows are pipelined through the stages: while one group is in
-// the first stage, the previous group is in the second one.
+// What a thread of the gradient does in the stages of a group of four rows.
 template <int K, int M>
-__global__ void __launch_bounds__(kThreads, 2) ssim_gradients(__grid_constant__ Work<K> const work) {
-  constexpr int R = K / 2, kMargin = kReach<K>;
-  extern __shared__ __align__(16) float shared[];
-  GradientRows<M>& memory = *reinterpret_cast<GradientRows<M>*>(shared);
-  for (int i = threadIdx.x; i < int(sizeof(memory) / 4); i += blockDim.x) shared[i] = 0;
-  __syncthreads();
-  BlockPosition<K> const position(work, kReachOfGradients<K>);
-  int const width = position.width, height = position.height, y0 = position.y0, y1 = position.y1;
-  Pixels pixels(work, position, y0 - 2 * R, y1 - 1 + 2 * R);
-  RunningSums<4, K> down;
-  RunningSums<M, K> back_down;
-  bool const mirrored = work.border == Border::reflect;
-  bool const near_end = mirrored && position.is_near_end(position.column, 1);
-  bool const group_near_end = mirrored && position.is_near_end(position.x, kRows);
-  bool const special = position.x <= work.offset ||
-                       position.x + kRows >= width - work.offset;  // some columns are first or last ones of the result
-  bool const owns_column = position.owns(position.column);
-  auto const at_end = [](int i, int n) { return i == 0 || i == n - 1; };
-  float const column_scale = mirrored && at_end(position.column, width) ? 0.5f : 1.f;
-  uint8_t const* const g = work.grad.data ? work.grad.plane(position.plane) : nullptr;
-  float const of_loss = g ? 0.f : work.of_loss[position.plane / work.loss.planes];
-  uint8_t *const to_x = work.result.plane(position.plane), *const to_y = M == 4
-                                                                             ? work.other_result.plane(position.plane)
-                                                                             : nullptr;
+struct GradientStages {
+  Work<K> const& work;
+  BlockPosition<K> const& position;
+  bool mirrored, group_near_end, special, owns_column;  // special: some columns are first or last ones of the result
+  float column_scale, of_loss;
+  uint8_t const* g;
+  uint8_t *to_x, *to_y;
+
+  __device__ __forceinline__ GradientStages(Work<K> const& work, BlockPosition<K> const& position)
+      : work(work),
+        position(position),
+        mirrored(work.border == Border::reflect),
+        group_near_end(mirrored && position.is_near_end(position.x, kRows)),
+        special(position.x <= work.offset || position.x + kRows >= position.width - work.offset),
+        owns_column(position.owns(position.column)),
+        column_scale(mirrored && at_end(position.column, position.width) ? 0.5f : 1.f),
+        g(work.grad.data ? work.grad.plane(position.plane) : nullptr),
+        to_x(work.result.plane(position.plane)),
+        to_y(M == 4 ? work.other_result.plane(position.plane) : nullptr) {
+    of_loss = g ? 0.f : work.of_loss[position.plane / work.loss.planes];
+  }
+  static __device__ __forceinline__ bool at_end(int i, int n) { return i == 0 || i == n - 1; }
 
   // The derivatives by the means in row q, from the sums along y.
-  auto const differentiate = [&](int q, float const(&summed)[4][kLine], float(&derivatives)[M][kLine]) {
+  __device__ __forceinline__ void differentiate(int q, float const (&summed)[4][kLine],
+                                                float (&derivatives)[M][kLine]) const {
+    int const width = position.width, height = position.height;
     int const from = border_index(work.border, q, height), at = position.x - position.left;
     float result[M][kRows] = {};
     if (from >= work.offset && from < height - work.offset) {
       float means[4][kRows], of_pixels[kRows];
-      sum_across<K, R>(summed, at, work.weights, means);
+      sum_across<K, K / 2>(summed, at, work.weights, means);
 #pragma unroll
       for (int j = 0; j < kRows; ++j) of_pixels[j] = -work.loss.structure * of_loss;
       if (g) read_row(work, position, g + (from - work.offset) * work.grad.row_stride, of_pixels);
@@ -443,25 +442,27 @@ __global__ void __launch_bounds__(kThreads, 2) ssim_gradients(__grid_constant__ 
 #pragma unroll
     for (int m = 0; m < M; ++m)
       if (position.x + kRows <= width)
-        *reinterpret_cast<Vector<float, 4>*>(&derivatives[m][at + kMargin]) = {result[m][0], result[m][1], result[m][2],
-                                                                               result[m][3]};
+        *reinterpret_cast<Vector<float, 4>*>(&derivatives[m][at + kReach<K>]) = {result[m][0], result[m][1],
+                                                                                 result[m][2], result[m][3]};
       else
 #pragma unroll
         for (int j = 0; j < kRows; ++j)
-          if (position.x + j < width) derivatives[m][at + kMargin + j] = result[m][j];
+          if (position.x + j < width) derivatives[m][at + kReach<K> + j] = result[m][j];
     if (group_near_end)
 #pragma unroll
       for (int j = 0; j < kRows; ++j)
         if (position.x + j < width)
           position.for_each_mirror(position.x + j, [&](int to) {
 #pragma unroll
-            for (int m = 0; m < M; ++m) derivatives[m][kMargin + to] = result[m][j];
+            for (int m = 0; m < M; ++m) derivatives[m][kReach<K> + to] = result[m][j];
           });
-  };
+  }
 
   // Rows of the gradients from y on, from the pixels and from the sums along x of the derivatives in the rows that
   // complete them.
-  auto const finish = [&](int y, float(&a)[kRows], float(&b)[kRows], Rows<M> const& across) {
+  __device__ __forceinline__ void finish(int y, float (&a)[kRows], float (&b)[kRows], Rows<M> const& across,
+                                         RunningSums<M, K>& back_down) const {
+    int const height = position.height, y0 = position.y0, y1 = position.y1;
     float signs[kRows] = {};
     if (work.loss.absolute != 0) {
 #pragma unroll
@@ -513,7 +514,36 @@ __global__ void __launch_bounds__(kThreads, 2) ssim_gradients(__grid_constant__ 
         x += work.result.row_stride, other += work.other_result.row_stride;
       }
     });
-  };
+  }
+
+  // The sums of derivatives along x.
+  __device__ __forceinline__ void sum_derivatives(float const (&derivatives)[M][kLine],
+                                                  float (&across)[M][kLine]) const {
+    int const at = position.x - position.left;
+    float sums[M][kRows];
+    sum_across<K, kReach<K>>(derivatives, at, work.weights, sums);
+#pragma unroll
+    for (int m = 0; m < M; ++m)
+      *reinterpret_cast<Vector<float, 4>*>(&across[m][at]) = {sums[m][0], sums[m][1], sums[m][2], sums[m][3]};
+  }
+};
+
+// M: 3 for the gradient of x, 4 for both. Groups of four rows are pipelined through the stages: while one group is in
+// the first stage, the previous group is in the second one.
+template <int K, int M>
+__global__ void __launch_bounds__(kThreads, 2) ssim_gradients(__grid_constant__ Work<K> const work) {
+  constexpr int R = K / 2;
+  extern __shared__ __align__(16) float shared[];
+  GradientRows<M>& memory = *reinterpret_cast<GradientRows<M>*>(shared);
+  for (int i = threadIdx.x; i < int(sizeof(memory) / 4); i += blockDim.x) shared[i] = 0;
+  __syncthreads();
+  BlockPosition<K> const position(work, kReachOfGradients<K>);
+  int const y0 = position.y0, y1 = position.y1;
+  Pixels pixels(work, position, y0 - 2 * R, y1 - 1 + 2 * R);
+  RunningSums<4, K> down;
+  RunningSums<M, K> back_down;
+  GradientStages<K, M> const stages(work, position);
+  bool const near_end = stages.mirrored && position.is_near_end(position.column, 1);
 
   float a[kRows], b[kRows];
   pixels.fetch(a, b);
@@ -527,19 +557,13 @@ __global__ void __launch_bounds__(kThreads, 2) ssim_gradients(__grid_constant__ 
     float own_a[kRows], own_b[kRows];
     if (complete + kRows > y0 - 2 * R) pixels.from(complete).fetch(own_a, own_b);
     if (i < steps) take_rows<K>(a, b, work, position, near_end, down, memory.summed[now]);
-    if (complete + kRows > y0 - 2 * R) finish(complete, own_a, own_b, memory.across[before]);
+    if (complete + kRows > y0 - 2 * R) stages.finish(complete, own_a, own_b, memory.across[before], back_down);
     if (i + 1 < steps) pixels.fetch(a, b);
     auto const is_needed = [&](int row) { return row >= y0 - R && row < y1 + R; };
     if (int const row = q - kRows + position.r; is_needed(row))
-      differentiate(row, memory.summed[before][position.r], memory.derivatives[before][position.r]);
-    if (int const row = q - 2 * kRows + position.r; is_needed(row)) {
-      float sums[M][kRows];
-      sum_across<K, kMargin>(memory.derivatives[now][position.r], position.x - position.left, work.weights, sums);
-#pragma unroll
-      for (int m = 0; m < M; ++m)
-        *reinterpret_cast<Vector<float, 4>*>(&memory.across[now][position.r][m][position.x - position.left]) = {
-            sums[m][0], sums[m][1], sums[m][2], sums[m][3]};
-    }
+      stages.differentiate(row, memory.summed[before][position.r], memory.derivatives[before][position.r]);
+    if (int const row = q - 2 * kRows + position.r; is_needed(row))
+      stages.sum_derivatives(memory.derivatives[now][position.r], memory.across[now][position.r]);
     __syncthreads();
   }
 }

@@ -214,6 +214,33 @@ __global__ void __launch_bounds__(kThreads) differentiate_chunk(HistogramBackwar
   differentiate_directly(x, samples, centers, h, bins, grad, b.grad_x + at);
 }
 
+// One block a row.
+constexpr int kNormalizeThreads = 256;
+template <class T>
+__global__ void __launch_bounds__(kNormalizeThreads) normalize(NormalizeCounts<T> p) {
+  __shared__ T memory[kNormalizeThreads / 32];
+  int64_t const first = int64_t(blockIdx.x) * p.bins;
+  T sum = 0;
+  for (int64_t k = threadIdx.x; k < p.bins; k += kNormalizeThreads) sum += p.counts[first + k];
+  sum = block_sum_to_all(sum, memory) + p.eps;
+  for (int64_t k = threadIdx.x; k < p.bins; k += kNormalizeThreads) p.y[first + k] = p.counts[first + k] / sum;
+}
+
+template <class T>
+__global__ void __launch_bounds__(kNormalizeThreads) differentiate_normalized(NormalizeCountsBackward<T> p) {
+  __shared__ T memory[kNormalizeThreads / 32];
+  int64_t const first = int64_t(blockIdx.x) * p.bins;
+  T sum = 0, product = 0;
+  for (int64_t k = threadIdx.x; k < p.bins; k += kNormalizeThreads) {
+    sum += p.counts[first + k];
+    product += p.grad[first + k] * p.counts[first + k];
+  }
+  sum = block_sum_to_all(sum, memory) + p.eps;
+  T const mean = block_sum_to_all(product, memory) / sum;
+  for (int64_t k = threadIdx.x; k < p.bins; k += kNormalizeThreads)
+    p.grad_counts[first + k] = (p.grad[first + k] - mean) / sum;
+}
+
 }  // namespace
 
 template <class T>
@@ -236,7 +263,21 @@ int histogram_backward(HistogramBackward<T> const& p, CUstream_st* stream) {
   return cudaGetLastError();
 }
 
+template <class T>
+int normalize_counts(NormalizeCounts<T> const& p, CUstream_st* stream) {
+  normalize<<<unsigned(p.rows), kNormalizeThreads, 0, stream>>>(p);
+  return cudaGetLastError();
+}
+
+template <class T>
+int normalize_counts_backward(NormalizeCountsBackward<T> const& p, CUstream_st* stream) {
+  differentiate_normalized<<<unsigned(p.rows), kNormalizeThreads, 0, stream>>>(p);
+  return cudaGetLastError();
+}
+
 KV_INSTANTIATE_COMPUTED(histogram, Histogram)
 KV_INSTANTIATE_COMPUTED(histogram_backward, HistogramBackward)
+KV_INSTANTIATE_COMPUTED(normalize_counts, NormalizeCounts)
+KV_INSTANTIATE_COMPUTED(normalize_counts_backward, NormalizeCountsBackward)
 
 }  // namespace kv::enhance::cuda

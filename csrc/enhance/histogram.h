@@ -31,8 +31,28 @@ struct HistogramBackward {
   T* grad_x;
 };
 
+// Rows of counts, each divided by its sum plus eps.
+template <class T>
+struct NormalizeCounts {
+  T const* counts;
+  int64_t rows, bins;
+  T eps;
+  T* y;
+};
+
+// With s = sum of counts + eps, y = counts / s, and the gradient is (grad - sum of grad y) / s.
+template <class T>
+struct NormalizeCountsBackward {
+  T const *grad, *counts;
+  int64_t rows, bins;
+  T eps;
+  T* grad_counts;
+};
+
 KV_KERNEL(histogram, Histogram)
 KV_KERNEL(histogram_backward, HistogramBackward)
+KV_KERNEL(normalize_counts, NormalizeCounts)
+KV_KERNEL(normalize_counts_backward, NormalizeCountsBackward)
 
 constexpr float kReach = 6;           // in bandwidths; at larger distances a Gaussian is at most 1.5e-8
 constexpr int kMaxSamples = 1 << 16;  // per chunk: fixed-point moments then fit 32 bits

@@ -206,7 +206,30 @@ void histogram_backward(HistogramBackward<T> const& b, int64_t begin, int64_t en
   }
 }
 
+template <class T>
+void normalize_counts(NormalizeCounts<T> const& p, int64_t begin, int64_t end) {
+  for (int64_t row = begin; row < end; ++row) {
+    T const* const counts = p.counts + row * p.bins;
+    double sum = p.eps;
+    for (int64_t k = 0; k < p.bins; ++k) sum += counts[k];
+    for (int64_t k = 0; k < p.bins; ++k) p.y[row * p.bins + k] = counts[k] / T(sum);
+  }
+}
+
+template <class T>
+void normalize_counts_backward(NormalizeCountsBackward<T> const& p, int64_t begin, int64_t end) {
+  for (int64_t row = begin; row < end; ++row) {
+    T const *const counts = p.counts + row * p.bins, *const grad = p.grad + row * p.bins;
+    double sum = p.eps, product = 0;
+    for (int64_t k = 0; k < p.bins; ++k) sum += counts[k], product += double(grad[k]) * counts[k];
+    T const mean = T(product / sum);
+    for (int64_t k = 0; k < p.bins; ++k) p.grad_counts[row * p.bins + k] = (grad[k] - mean) / T(sum);
+  }
+}
+
 KV_INSTANTIATE_COMPUTED(histogram, Histogram)
 KV_INSTANTIATE_COMPUTED(histogram_backward, HistogramBackward)
+KV_INSTANTIATE_COMPUTED(normalize_counts, NormalizeCounts)
+KV_INSTANTIATE_COMPUTED(normalize_counts_backward, NormalizeCountsBackward)
 
 }  // namespace kv::enhance::KV_ISA

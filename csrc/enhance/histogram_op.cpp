@@ -79,9 +79,36 @@ Tensor histogram_backward(Tensor const& grad, Tensor const& x, Tensor const& cen
   return grad_x;
 }
 
+Tensor normalize_counts(Tensor const& counts, double eps) {
+  check_rows("normalize_counts", counts);
+  Tensor const x = dense(counts), y = empty({x.size(0), x.size(1)}, x);
+  dispatch_row_dtype(x, [&](auto type) {
+    using T = typename decltype(type)::type;
+    NormalizeCounts<T> const params{data_ptr<T>(x), x.size(0), x.size(1), T(eps), data_ptr<T>(y)};
+    KV_RUN(normalize_counts, x, params, x.size(1) > 0 ? x.size(0) : 0, 4 * x.size(1));
+  });
+  return y;
+}
+
+Tensor normalize_counts_backward(Tensor const& grad, Tensor const& counts, double eps) {
+  constexpr char const* op = "normalize_counts_backward";
+  check_rows(op, counts);
+  check_row_grad(op, grad, counts, counts.size(1));
+  Tensor const x = dense(counts), g = dense(grad), grad_counts = empty({x.size(0), x.size(1)}, x);
+  dispatch_row_dtype(x, [&](auto type) {
+    using T = typename decltype(type)::type;
+    NormalizeCountsBackward<T> const params{data_ptr<T>(g), data_ptr<T>(x), x.size(0),
+                                            x.size(1),      T(eps),         data_ptr<T>(grad_counts)};
+    KV_RUN(normalize_counts_backward, x, params, x.size(1) > 0 ? x.size(0) : 0, 8 * x.size(1));
+  });
+  return grad_counts;
+}
+
 }  // namespace
 
 KV_OPERATOR(histogram, "(Tensor x, Tensor centers, Tensor bandwidth) -> Tensor")
 KV_OPERATOR(histogram_backward, "(Tensor grad, Tensor x, Tensor centers, Tensor bandwidth) -> Tensor")
+KV_OPERATOR(normalize_counts, "(Tensor counts, float eps) -> Tensor")
+KV_OPERATOR(normalize_counts_backward, "(Tensor grad, Tensor counts, float eps) -> Tensor")
 
 }  // namespace kv::enhance

@@ -40,8 +40,8 @@ inline Tensor histogram(Tensor const& x, Tensor const& bins, Parameter const& ba
   Tensor const width = bandwidth.tensor ? *bandwidth.tensor : at::full({1}, bandwidth.number, values.options());
   Tensor const counts =
       ops::histogram(values, detail::computed(bins, x).unsqueeze(0), detail::computed(width, x).reshape({1}));
-  Tensor const density = counts / x.size(1);
-  return (density / (density.sum(1, true) + epsilon)).to(detail::floats(x).scalar_type());
+  // epsilon goes with counts divided by D.
+  return ops::normalize_counts(counts, epsilon * double(x.size(1))).to(detail::floats(x).scalar_type());
 }
 
 // The counts of every plane (B, C, n_bins) in bins from `min` to `max`. kernel: "triangular", "epanechnikov" or

@@ -107,7 +107,10 @@ def test_memory_grows_with_the_pixels_alone(call):
 
 # --- kernels --------------------------------------------------------------------------------------------------------
 
-OPERATORS = ("histogram", "histogram_backward", "image_histogram2d", "image_histogram2d_backward")
+OPERATORS = (
+    *("histogram", "histogram_backward", "image_histogram2d", "image_histogram2d_backward"),
+    *("normalize_counts", "normalize_counts_backward"),
+)
 CENTERS = {
     "even": torch.linspace(-1, 2, 50),
     "uneven": torch.linspace(0, 1.4, 50) ** 2 - 0.5,
@@ -181,7 +184,7 @@ def test_operators(device, backend):
     image = x[:, None].clone().requires_grad_()
     with recorded() as calls, K.backend("native"):
         counts_and_gradient(x, centers, 0.1, torch.rand(2, 9, device=device))
-        E.image_histogram2d(image, 0.0, 1.0, 9)[0].square().sum().backward()
+        E.image_histogram2d(image, 0.0, 1.0, 9, return_pdf=True)[1].square().sum().backward()
     assert {name for name, _ in calls} == set(OPERATORS)
     for name, args in calls:
         args = [a.detach() if isinstance(a, Tensor) else a for a in args]
@@ -294,4 +297,5 @@ class TestHistogramOperators(PointOpTests):
                 accepted=("cut along", "bins 32768"),
             )
         ],
+        "normalize_counts": [Call((vector(40),), (0.5,), dtypes=SINGLE_AND_DOUBLE, accepted=("cut along",))],
     }

@@ -13,6 +13,7 @@ inline variable_list equalize_clahe_gradients(Backward const& b);
 inline variable_list equalize_backward_gradients(Backward const& b);
 inline variable_list equalize_gradients(Backward const& b);
 inline variable_list histogram_gradients(Backward const& b);
+inline variable_list normalize_counts_gradients(Backward const& b);
 inline variable_list image_histogram2d_gradients(Backward const& b);
 inline variable_list normalize_min_max_gradients(Backward const& b);
 inline variable_list sharpness_gradients(Backward const& b);
@@ -41,6 +42,8 @@ inline constexpr Operator<"equalize", Two(Tensor input, bool opencv)> equalize{
 
 inline constexpr Operator<"histogram", Tensor(Tensor x, Tensor centers, Tensor bandwidth)> histogram{
     Rule{detail::histogram_gradients}};
+inline constexpr Operator<"normalize_counts", Tensor(Tensor counts, double eps)> normalize_counts{
+    Rule{detail::normalize_counts_gradients}};
 
 // --- enhance/image_histogram2d_op.cpp
 
@@ -84,6 +87,10 @@ inline variable_list equalize_gradients(Backward const& b) {
 
 inline variable_list histogram_gradients(Backward const& b) {
   return b.run("histogram_backward", {b.grads[0], b.arguments[0], b.arguments[1], b.arguments[2]}, no_gradient);
+}
+
+inline variable_list normalize_counts_gradients(Backward const& b) {
+  return b.run("normalize_counts_backward", {b.grads[0], b.arguments[0], b.arguments[1]}, no_gradient);
 }
 
 inline variable_list image_histogram2d_gradients(Backward const& b) {

@@ -145,6 +145,16 @@ _histogram = register(
 )
 
 
+def _reference_normalize(counts: Tensor, eps: float) -> Tensor:
+    """Divide each row of (N, K) by its sum plus `eps`."""
+    counts = counts.contiguous()  # torch adds numbers of other strides in another order
+    return counts / (counts.sum(1, keepdim=True) + eps)
+
+
+register("normalize_counts_backward", vjp(_reference_normalize))
+_normalize_counts = register("normalize_counts", _reference_normalize, gradients="counts: normalize_counts_backward")
+
+
 def joint_counts(x1: Tensor, x2: Tensor, bins: Tensor, bandwidth: Tensor) -> Tensor:
     """Sum the products of two Gaussians over pairs of values (N, P) for bins (K,), to (N, K, K)."""
     gaussian = _KERNELS["gaussian"]
@@ -254,8 +264,8 @@ def histogram(x: Tensor, bins: Tensor, bandwidth: Tensor, epsilon: float = 1e-10
     _check.shape("histogram", "x", x, "B", "D")
     promoted, centers, width, dtype = _arguments("histogram", x, bins, bandwidth)
     epsilon = _check.number("histogram", "epsilon", epsilon, minimum=0)
-    density = kernel_counts(promoted, centers, width, "gaussian") / x.shape[1]
-    return (density / (density.sum(1, keepdim=True) + epsilon)).to(dtype)
+    counts = kernel_counts(promoted, centers, width, "gaussian")
+    return _normalize_counts(counts, epsilon * x.shape[1]).to(dtype)  # epsilon goes with counts divided by D
 
 
 def histogram2d(x1: Tensor, x2: Tensor, bins: Tensor, bandwidth: Tensor, epsilon: float = 1e-10) -> Tensor:
@@ -290,7 +300,7 @@ def histogram2d(x1: Tensor, x2: Tensor, bins: Tensor, bandwidth: Tensor, epsilon
     epsilon = _check.number("histogram2d", "epsilon", epsilon, minimum=0)
     with torch.autocast(x1.device.type, enabled=False):
         counts = joint_counts(promoted, x2.to(promoted.dtype), centers, width)
-    return (counts / (counts.sum((1, 2), keepdim=True) + epsilon)).to(dtype)
+    return _normalize_counts(counts.flatten(1), epsilon).view_as(counts).to(dtype)
 
 
 def _arguments(op: str, x: Tensor, bins: Tensor, bandwidth: Tensor) -> tuple[Tensor, Tensor, Tensor, torch.dtype]:
@@ -380,7 +390,6 @@ def image_histogram2d(
         counts = kernel_counts(x, middles, x.new_full((), width), kernel)
     else:
         counts = _image_histogram2d(x, low, width, n_bins, HISTOGRAM_KERNEL[kernel])
-    counts = counts.reshape(*image.shape[:-2], counts.shape[1])
-    if not return_pdf:
-        return counts, torch.zeros_like(counts)
-    return counts, counts / (counts.sum(-1, keepdim=True) + eps)
+    densities = _normalize_counts(counts, eps) if return_pdf else torch.zeros_like(counts)
+    shape = (*image.shape[:-2], counts.shape[1])
+    return counts.reshape(shape), densities.reshape(shape)

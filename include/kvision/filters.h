@@ -50,9 +50,13 @@ inline Tensor bilateral(char const* op, Tensor const& input, std::optional<Tenso
                         Distance distance) {
   images(op, "input", input);
   if (guidance) images(op, "guidance", *guidance);
-  return ops::bilateral_blur(input, computed(guidance, input), computed(sigma_color.tensor, input),
-                             computed(sigma_space.tensor, input), kernel_size->at(0), kernel_size->at(1),
-                             sigma_color.number, sigma_space.y, sigma_space.x, int64_t(border_type), int64_t(distance));
+  // The kernels that read the totals are those of float32 images on a GPU.
+  bool const keeps_totals = input.is_cuda() && input.scalar_type() == at::kFloat && !guidance &&
+                            input.requires_grad() && at::GradMode::is_enabled();
+  return std::get<0>(ops::bilateral_blur(input, computed(guidance, input), computed(sigma_color.tensor, input),
+                                         computed(sigma_space.tensor, input), kernel_size->at(0), kernel_size->at(1),
+                                         sigma_color.number, sigma_space.y, sigma_space.x, int64_t(border_type),
+                                         int64_t(distance), keeps_totals));
 }
 
 }  // namespace detail

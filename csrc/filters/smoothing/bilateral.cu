@@ -31,6 +31,7 @@ __global__ void __launch_bounds__(kThreads, blocks_of(R)) bilateral_tile(Bilater
 #pragma unroll
   for (int i = 0; i < kRun; ++i) {
     if (y + i >= p.x.height) return;
+    if (p.totals.channels > 0) p.totals.row(b, 0, y + i)[x * p.totals.step] = round_to<T>(total[i]);
     float const inverse = __fdividef(1.f, total[i] * scale);
 #pragma unroll
     for (int c = 0; c < C; ++c) out[c * p.y.channel_stride] = round_to<T>(sum[i][c] * inverse);
@@ -49,6 +50,7 @@ __global__ void bilateral_any(Bilateral<T> p) {
   int64_t const b = i / (width * height * chunks);
   F sum[kChunk];
   F const total = sum_window<Joint>(p, p.sigma.at(b), b, c, y, x, sum);
+  if (c == 0 && p.totals.channels > 0) p.totals.row(b, 0, y)[x * p.totals.step] = round_to<T>(total);
 #pragma unroll
   for (int k = 0; k < kChunk; ++k)
     if (c + k < p.x.channels) p.y.row(b, c + k, y)[x * p.y.step] = round_to<T>(sum[k] / total);

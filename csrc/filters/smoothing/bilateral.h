@@ -60,6 +60,7 @@ struct Bilateral {
   Images<T const> x;
   Images<Compute<T> const> guide;
   Images<T> y;
+  Images<T> totals;  // CUDA: n, from which the gradient takes less time; or of no channels
   Sigmas<Compute<T>> sigma;
   int ky, kx;
   Border border;
@@ -69,6 +70,7 @@ struct Bilateral {
 template <class T>
 struct BilateralBackward {
   Images<T const> grad, x;
+  Images<T const> y, totals;  // CUDA: those of the forward pass, or without data
   Images<Compute<T> const> guide;
   Images<T> grad_x, grad_guide;  // where x is its own guide, grad_x has both gradients
   Sigmas<Compute<T>> sigma;

@@ -77,11 +77,13 @@ struct Frame {
 };
 
 // Adds what pixel q receives from pixel p; see bilateral.h. Values are scaled to unit falloff in color: b and the
-// products with a have one factor of the scale, the derivative of the distance has the other one.
+// products with a have one factor of the scale, the derivative of the distance has the other one. With L1 `grad` lacks
+// the number that is added to `excess`, the same for all channels: a sign is twice a number that is 0, 1/2 or 1,
+// less 1.
 template <int C, bool L1>
 __device__ __forceinline__ void accumulate_gradient(float space, float const (&p)[C], float const (&p_ab)[C + 1],
                                                     float const (&q)[C], float const (&q_ab)[C + 1], bool is_own,
-                                                    float (&grad)[C]) {
+                                                    float (&grad)[C], float& excess) {
   float difference[C], distance;
 #pragma unroll
   for (int c = 0; c < C; ++c) {
@@ -97,23 +99,23 @@ __device__ __forceinline__ void accumulate_gradient(float space, float const (&p
     weight_grad += p_ab[c] * q[c];
     if (is_own) weight_grad += q_ab[c] * p[c];
   }
-  weight_grad *= weight * -1.38629436111989061883f;  // -2 log 2
-  if (L1) weight_grad *= distance;
+  weight_grad *= weight * (L1 ? -2.77258872223978123767f : -1.38629436111989061883f);  // -2 log 2; L1: twice that
+  if (L1) weight_grad *= distance, excess += weight_grad;
 #pragma unroll
   for (int c = 0; c < C; ++c) {
     grad[c] += weight * p_ab[c];
     if constexpr (!L1) {
       grad[c] += weight_grad * difference[c];
-    } else {  // with the sign of the difference
-      uint32_t const sign = __float_as_uint(difference[c]) & 0x80000000u;
-      if (difference[c] != 0) grad[c] += __uint_as_float(__float_as_uint(weight_grad) ^ sign);
+    } else {
+      grad[c] += weight_grad * __saturatef(fmaf(difference[c], 1e38f, 0.5f));
     }
   }
 }
 
 // Three phases: load the tile's pixels and twice the window's radius around them; compute a and b of the tile and the
-// window's radius around it; compute the gradients.
-template <class T, int C, bool L1, int R>
+// window's radius around it; compute the gradients. `Kept`: the results of the forward pass give a and b, for which
+// pixels are needed in the window's radius only.
+template <class T, int C, bool L1, int R, bool Kept>
 __global__ void __launch_bounds__(kThreads, 3) bilateral_backward_tile(BilateralBackward<T> p, Tiles<kRun> tiles) {
   extern __shared__ float memory[];
   int const ry = R > 0 ? R : p.ky / 2, rx = R > 0 ? R : p.kx / 2;
@@ -121,22 +123,49 @@ __global__ void __launch_bounds__(kThreads, 3) bilateral_backward_tile(Bilateral
   int64_t b;
   int y0, x0;
   tiles.locate(b, y0, x0);
-  SharedPlanes const s{memory, y0 - 2 * ry, x0 - 2 * rx, rows_of(kRun) + 4 * ry, kColumns + 4 * rx};
+  int const reach_y = Kept ? ry : 2 * ry, reach_x = Kept ? rx : 2 * rx;
+  SharedPlanes const s{memory, y0 - reach_y, x0 - reach_x, rows_of(kRun) + 2 * reach_y, kColumns + 2 * reach_x};
   SharedPlanes const ab{memory + C * s.size(), y0 - ry, x0 - rx, rows_of(kRun) + 2 * ry, kColumns + 2 * rx};
   Falloff<float> const falloff = p.sigma.at(b);
   float const scale = sqrtf(falloff.color);
-  load_planes<C>(s, p.x, b, p.border, 2 * rx, scale);
+  load_planes<C>(s, p.x, b, p.border, reach_x, scale);
+  auto const is_in_bounds = [&](int y, int x) {
+    return p.border == Border::circular || (y >= 0 && y < height && x >= 0 && x < width);
+  };
+  if constexpr (Kept) {
+#pragma unroll 2
+    for (int task = threadIdx.x; task < ab.size(); task += kThreads) {
+      int const row = unsigned(task) / unsigned(ab.columns), y = ab.y + row, x = ab.x + task - row * ab.columns;
+      float a[C] = {}, product = 0;
+      if (is_in_bounds(y, x)) {
+        bool const repeats = p.border == Border::circular;
+        int const from_y = repeats ? pixel_at(p.border, y, height) : y;
+        int const from_x = repeats ? pixel_at(p.border, x, width) : x;
+        T const* const grad = p.grad.row(b, 0, from_y) + from_x * p.grad.step;
+        T const* const mean = p.y.row(b, 0, from_y) + from_x * p.y.step;
+        float const inverse = __fdividef(1.f, read(p.totals.row(b, 0, from_y)[from_x * p.totals.step]));
+#pragma unroll
+        for (int c = 0; c < C; ++c) {
+          a[c] = read(grad[c * p.grad.channel_stride]) * inverse;
+          product += a[c] * (read(mean[c * p.y.channel_stride]) * scale);
+        }
+      }
+#pragma unroll
+      for (int c = 0; c < C; ++c) ab.data[c * ab.size() + task] = a[c];
+      ab.data[C * ab.size() + task] = product;
+    }
+  }
   __syncthreads();
 
   int const runs = (ab.rows + kRun - 1) / kRun;
-  for (int task = threadIdx.x; task < runs * ab.columns; task += kThreads) {
+  for (int task = threadIdx.x; !Kept && task < runs * ab.columns; task += kThreads) {
     int const run = unsigned(task) / unsigned(ab.columns), x = ab.x + task - run * ab.columns;
     int const y = ab.y + min(run * kRun, ab.rows - kRun);  // the last run overlaps the previous one
     float sum[kRun][C], total[kRun];
     sum_run<C, L1, R>(s, ry, rx, falloff, y, x, sum, total);
 #pragma unroll
     for (int i = 0; i < kRun; ++i) {
-      bool const in_bounds = p.border == Border::circular || (y + i >= 0 && y + i < height && x >= 0 && x < width);
+      bool const in_bounds = is_in_bounds(y + i, x);
       float const inverse = __fdividef(1.f, total[i]);
       float* const to = ab.data + (y + i - ab.y) * ab.columns + x - ab.x;
       T const* const grad =
@@ -151,7 +180,7 @@ __global__ void __launch_bounds__(kThreads, 3) bilateral_backward_tile(Bilateral
       to[C * ab.size()] = in_bounds ? product : 0.f;
     }
   }
-  __syncthreads();
+  if constexpr (!Kept) __syncthreads();
 
   auto const load = [&](int row, int column, float(&pixel)[C], float(&pixel_ab)[C + 1]) {
 #pragma unroll
@@ -162,7 +191,7 @@ __global__ void __launch_bounds__(kThreads, 3) bilateral_backward_tile(Bilateral
     pixel_ab[C] = ab.at(row, column)[C * ab.size()];
   };
   // Adds what a position out of bounds, whose border pixel is `center`, receives.
-  auto const receive_out_of_bounds = [&](int at_y, int at_x, float const(&center)[C], float(&grad)[C]) {
+  auto const receive_out_of_bounds = [&](int at_y, int at_x, float const(&center)[C], float(&grad)[C], float& excess) {
     Window const window(p, at_y, at_x, false);
     for (int row = window.top; row <= window.bottom; ++row)
       for (int column = window.left; column <= window.right; ++column) {
@@ -171,33 +200,34 @@ __global__ void __launch_bounds__(kThreads, 3) bilateral_backward_tile(Bilateral
         int const dy = row - at_y, dx = column - at_x;
         float const space = falloff.space_y * float(dy * dy) + falloff.space_x * float(dx * dx);
         float const none[C + 1] = {};  // a position out of bounds has no gradients
-        accumulate_gradient<C, L1>(space, pixel, pixel_ab, center, none, false, grad);
+        accumulate_gradient<C, L1>(space, pixel, pixel_ab, center, none, false, grad, excess);
       }
   };
-  // In windows known at compile time a thread for each position out of bounds computes what its border pixel adds.
+  // In windows known at compile time a thread for each position out of bounds computes what its border pixel adds,
+  // which is read after the barrier behind the sums of the tile.
   Frame<(R > 0 ? R : 1)> const frame{y0, x0, height, width};
   float* const received_from_border = ab.data + (C + 1) * ab.size();
+  bool const has_frame = R > 0 && p.border != Border::circular && p.border != Border::constant && frame.count() > 0;
   if constexpr (R > 0) {
-    if (p.border != Border::circular && p.border != Border::constant && frame.count() > 0) {
+    if (has_frame) {
       for (int task = threadIdx.x; task < frame.count(); task += kThreads) {
         int at_y, at_x;
         if (!frame.locate(task, at_y, at_x)) continue;
         int const from_y = border_index(p.border, at_y, height), from_x = border_index(p.border, at_x, width);
         if (!frame.contains(from_y, from_x)) continue;
-        float center[C], received[C] = {};
+        float center[C], received[C] = {}, excess = 0;
 #pragma unroll
         for (int c = 0; c < C; ++c) center[c] = s.at(from_y, from_x)[c * s.size()];
-        receive_out_of_bounds(at_y, at_x, center, received);
+        receive_out_of_bounds(at_y, at_x, center, received, excess);
 #pragma unroll
-        for (int c = 0; c < C; ++c) received_from_border[C * task + c] = received[c];
+        for (int c = 0; c < C; ++c) received_from_border[C * task + c] = received[c] - 0.5f * excess;
       }
-      __syncthreads();
     }
   }
 
   int const x = x0 + threadIdx.x % kColumns, y = y0 + threadIdx.x / kColumns * kRun;
-  if (x >= width || y >= height) return;
-  float center[kRun][C], center_ab[kRun][C + 1], grad[kRun][C];
+  bool const is_in_image = x < width && y < height;
+  float center[kRun][C], center_ab[kRun][C + 1], grad[kRun][C], excess[kRun] = {};
 #pragma unroll
   for (int i = 0; i < kRun; ++i) {
 #pragma unroll
@@ -208,7 +238,7 @@ __global__ void __launch_bounds__(kThreads, 3) bilateral_backward_tile(Bilateral
     }
     center_ab[i][C] = ab.at(y + i, x)[C * ab.size()];
   }
-  for (int dx = -rx; dx <= rx; ++dx) {
+  auto const column = [&](int dx, [[maybe_unused]] auto is_center) {
     auto const pixel_row = [&](int row) {
       float pixel[C], pixel_ab[C + 1];
       load(y + row, x + dx, pixel, pixel_ab);
@@ -216,8 +246,13 @@ __global__ void __launch_bounds__(kThreads, 3) bilateral_backward_tile(Bilateral
       for (int i = 0; i < kRun; ++i) {
         int const dy = row - i;
         if (dy < -ry || dy > ry) continue;
+        if (is_center && dy == 0) {  // the pixel itself, of weight 1
+#pragma unroll
+          for (int c = 0; c < C; ++c) grad[i][c] += pixel_ab[c];
+          continue;
+        }
         float const space = falloff.space_y * float(dy * dy) + falloff.space_x * float(dx * dx);
-        accumulate_gradient<C, L1>(space, pixel, pixel_ab, center[i], center_ab[i], true, grad[i]);
+        accumulate_gradient<C, L1>(space, pixel, pixel_ab, center[i], center_ab[i], true, grad[i], excess[i]);
       }
     };
     if constexpr (R > 0) {
@@ -226,23 +261,43 @@ __global__ void __launch_bounds__(kThreads, 3) bilateral_backward_tile(Bilateral
     } else {
       for (int row = -ry; row < kRun + ry; ++row) pixel_row(row);
     }
+  };
+  if (R == 0 && !is_in_image) return;
+  if constexpr (R > 0) {
+    if (is_in_image) {
+      column(0, std::true_type{});
+#pragma unroll 1
+      for (int dx = 1; dx <= R; ++dx) {
+#pragma unroll 1
+        for (int side = -1; side <= 1; side += 2) column(side * dx, std::false_type{});
+      }
+    }
+    if (has_frame) __syncthreads();
+    if (!is_in_image) return;
+  } else {
+    for (int dx = -rx; dx <= rx; ++dx) column(dx, std::false_type{});
   }
 #pragma unroll
   for (int i = 0; i < kRun; ++i) {
     if (y + i >= height) return;
-    for_each_reader_once(p, y + i, x, [&](int at_y, int at_x) {
-      if (at_y == y + i && at_x == x) return;
-      if constexpr (R > 0) {
-        float const* const from = received_from_border + C * frame.slot(at_y, at_x);
+    if constexpr (R > 0) {
+      if (has_frame)
+        for_each_reader(p.border, y + i, height, R, R, [&](int at_y) {
+          for_each_reader(p.border, x, width, R, R, [&](int at_x) {
+            if (at_y == y + i && at_x == x) return;
+            float const* const from = received_from_border + C * frame.slot(at_y, at_x);
 #pragma unroll
-        for (int c = 0; c < C; ++c) grad[i][c] += from[c];
-      } else {
-        receive_out_of_bounds(at_y, at_x, center[i], grad[i]);
-      }
-    });
+            for (int c = 0; c < C; ++c) grad[i][c] += from[c];
+          });
+        });
+    } else {
+      for_each_reader_once(p, y + i, x, [&](int at_y, int at_x) {
+        if (at_y != y + i || at_x != x) receive_out_of_bounds(at_y, at_x, center[i], grad[i], excess[i]);
+      });
+    }
     T* const out = p.grad_x.row(b, 0, y + i) + x * p.grad_x.step;
 #pragma unroll
-    for (int c = 0; c < C; ++c) out[c * p.grad_x.channel_stride] = round_to<T>(grad[i][c]);
+    for (int c = 0; c < C; ++c) out[c * p.grad_x.channel_stride] = round_to<T>(grad[i][c] - 0.5f * excess[i]);
   }
 }
 
@@ -338,17 +393,23 @@ __global__ void __launch_bounds__(kThreads)
 }
 
 // False where the tile does not fit into shared memory.
-template <int C, bool L1, int R, class T>
+template <int C, bool L1, int R, bool Kept, class T>
 bool launch_tile(BilateralBackward<T> const& p, CUstream_st* stream) {
-  auto const kernel = bilateral_backward_tile<T, C, L1, R>;
-  int64_t const ry = p.ky / 2, rx = p.kx / 2;
-  int64_t const bytes = sizeof(float) * (C * (rows_of(kRun) + 4 * ry) * (kColumns + 4 * rx) +
+  auto const kernel = bilateral_backward_tile<T, C, L1, R, Kept>;
+  int64_t const ry = p.ky / 2, rx = p.kx / 2, reach_y = Kept ? ry : 2 * ry, reach_x = Kept ? rx : 2 * rx;
+  int64_t const bytes = sizeof(float) * (C * (rows_of(kRun) + 2 * reach_y) * (kColumns + 2 * reach_x) +
                                          (C + 1) * (rows_of(kRun) + 2 * ry) * (kColumns + 2 * rx) +
                                          (R > 0 ? C * Frame<(R > 0 ? R : 1)>::kSlots : 0));
   if (!fits(kernel, bytes)) return false;
   Tiles<kRun> const tiles(p.x.batch, p.x.height, p.x.width);
   kernel<<<tiles.count, kThreads, bytes, stream>>>(p, tiles);
   return true;
+}
+template <int C, bool L1, int R, class T>
+bool launch_tile(BilateralBackward<T> const& p, CUstream_st* stream) {
+  if constexpr (sizeof(T) == 4)
+    if (p.totals.data) return launch_tile<C, L1, R, true>(p, stream);
+  return launch_tile<C, L1, R, false>(p, stream);
 }
 template <int C, bool L1, class T>
 bool launch_tile(BilateralBackward<T> const& p, CUstream_st* stream) {

@@ -57,19 +57,26 @@ struct Arguments {
   bool has_colors, has_spaces;
 };
 
-Tensor bilateral_blur(Tensor const& input, std::optional<Tensor> const& guidance,
-                      std::optional<Tensor> const& sigma_color, std::optional<Tensor> const& sigma_space, int64_t ky,
-                      int64_t kx, double color, double space_y, double space_x, int64_t border, int64_t distance) {
+std::tuple<Tensor, Tensor> bilateral_blur(Tensor const& input, std::optional<Tensor> const& guidance,
+                                          std::optional<Tensor> const& sigma_color,
+                                          std::optional<Tensor> const& sigma_space, int64_t ky, int64_t kx,
+                                          double color, double space_y, double space_x, int64_t border,
+                                          int64_t distance, bool keeps_totals) {
   check_images("bilateral_blur", "input", input);
   Arguments const a("bilateral_blur", input, guidance, sigma_color, sigma_space, ky, kx, border, distance);
+#if !defined(KV_CUDA)
+  KV_CHECK(!keeps_totals, "bilateral_blur: the CPU keeps no totals");
+#endif
   Tensor const y = empty_like(a.x, layout_of(a.x));
   int64_t const batch = a.x.size(0);
+  Tensor const totals = empty({batch, keeps_totals ? 1 : 0, a.x.size(2), a.x.size(3)}, a.x);
   dispatch_floating_and_uint8("bilateral_blur", a.x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
     Bilateral<T> const params{images<T const>(a.x, batch),
                               a.joint ? images<F const>(a.guide, batch) : Images<F const>{},
                               images<T>(y, batch),
+                              images<T>(totals, batch),
                               a.sigmas<F>(color, space_y, space_x),
                               a.ky,
                               a.kx,
@@ -78,20 +85,25 @@ Tensor bilateral_blur(Tensor const& input, std::optional<Tensor> const& guidance
                               a.joint};
     KV_RUN(bilateral_blur, a.x, params, y.numel() > 0 ? batch * y.size(2) : 0, y.size(1) * y.size(3) * ky * kx);
   });
-  return y;
+  return {y, totals};
 }
 
-std::tuple<Tensor, Tensor> bilateral_blur_backward(Tensor const& grad, Tensor const& input,
-                                                   std::optional<Tensor> const& guidance,
-                                                   std::optional<Tensor> const& sigma_color,
-                                                   std::optional<Tensor> const& sigma_space, int64_t ky, int64_t kx,
-                                                   double color, double space_y, double space_x, int64_t border,
-                                                   int64_t distance, bool needs_x, bool needs_guide) {
+std::tuple<Tensor, Tensor> bilateral_blur_backward(
+    Tensor const& grad, Tensor const& input, std::optional<Tensor> const& guidance,
+    std::optional<Tensor> const& sigma_color, std::optional<Tensor> const& sigma_space,
+    std::optional<Tensor> const& output, std::optional<Tensor> const& totals, int64_t ky, int64_t kx, double color,
+    double space_y, double space_x, int64_t border, int64_t distance, bool needs_x, bool needs_guide) {
   char const* const op = "bilateral_blur_backward";
   check_images(op, "input", input);
   check_like(op, "grad", grad, input);
   Arguments const a(op, input, guidance, sigma_color, sigma_space, ky, kx, border, distance);
   int64_t const batch = a.x.size(0), h = a.x.size(2), w = a.x.size(3);
+  if (output) check_like(op, "output", *output, input);
+  KV_CHECK(output.has_value() == totals.has_value(), op, ": expected both output and totals, or none");
+  KV_CHECK(!totals || (totals->dim() == 4 && totals->size(0) == batch && totals->size(1) == 1 && totals->size(2) == h &&
+                       totals->size(3) == w && totals->scalar_type() == input.scalar_type() &&
+                       totals->device() == input.device()),
+           op, ": totals does not fit input");
   needs_guide = needs_guide && a.joint;
   Layout const layout = layout_of(grad);
   Tensor const grad_x = empty({batch, needs_x ? a.x.size(1) : 0, h, w}, grad, layout);
@@ -101,6 +113,8 @@ std::tuple<Tensor, Tensor> bilateral_blur_backward(Tensor const& grad, Tensor co
     using F = Compute<T>;
     BilateralBackward<T> const params{images<T const>(grad, batch),
                                       images<T const>(a.x, batch),
+                                      output ? images<T const>(*output, batch) : Images<T const>{},
+                                      totals ? images<T const>(*totals, batch) : Images<T const>{},
                                       a.joint ? images<F const>(a.guide, batch) : Images<F const>{},
                                       images<T>(grad_x, batch),
                                       images<T>(grad_guide, batch),
@@ -150,11 +164,11 @@ Tensor bilateral_blur_sigma_sums(Tensor const& grad, Tensor const& input, std::o
 
 KV_OPERATOR(bilateral_blur,
             "(Tensor input, Tensor? guidance, Tensor? sigma_color, Tensor? sigma_space, int ky, int kx, float color, "
-            "float space_y, float space_x, int border, int distance) -> Tensor")
+            "float space_y, float space_x, int border, int distance, bool keeps_totals) -> (Tensor, Tensor)")
 KV_OPERATOR(bilateral_blur_backward,
-            "(Tensor grad, Tensor input, Tensor? guidance, Tensor? sigma_color, Tensor? sigma_space, int ky, int kx, "
-            "float color, float space_y, float space_x, int border, int distance, bool wants_input, "
-            "bool wants_guidance) -> (Tensor, Tensor)")
+            "(Tensor grad, Tensor input, Tensor? guidance, Tensor? sigma_color, Tensor? sigma_space, Tensor? output, "
+            "Tensor? totals, int ky, int kx, float color, float space_y, float space_x, int border, int distance, "
+            "bool wants_input, bool wants_guidance) -> (Tensor, Tensor)")
 KV_OPERATOR(bilateral_blur_sigma_sums,
             "(Tensor grad, Tensor input, Tensor? guidance, Tensor? sigma_color, Tensor? sigma_space, int ky, int kx, "
             "float color, float space_y, float space_x, int border, int distance) -> Tensor")

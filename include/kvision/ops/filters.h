@@ -72,9 +72,10 @@ inline constexpr Operator<"filter2d_separable",
 
 // --- filters/smoothing/bilateral_op.cpp
 
-inline constexpr Operator<"bilateral_blur", Tensor(Tensor input, OptionalTensor guidance, OptionalTensor sigma_color,
-                                                   OptionalTensor sigma_space, int64_t ky, int64_t kx, double color,
-                                                   double space_y, double space_x, int64_t border, int64_t distance)>
+inline constexpr Operator<"bilateral_blur",
+                          Two(Tensor input, OptionalTensor guidance, OptionalTensor sigma_color,
+                              OptionalTensor sigma_space, int64_t ky, int64_t kx, double color, double space_y,
+                              double space_x, int64_t border, int64_t distance, bool keeps_totals)>
     bilateral_blur{detail::rules::bilateral_blur};
 inline constexpr Operator<"bilateral_blur_sigma_sums",
                           Tensor(Tensor grad, Tensor input, OptionalTensor guidance, OptionalTensor sigma_color,

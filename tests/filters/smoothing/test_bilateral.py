@@ -86,6 +86,19 @@ class TestBilateralBlur(OpTests):
         args = (x, (5, 7), 0.2, (1.5, 1.1), border, distance)
         assert_close(K.filters.bilateral_blur(*args), kornia.filters.bilateral_blur(*args))
 
+    def test_second_derivatives_in_float32(self, device):
+        """Where a GPU's gradient reads the totals that the forward pass kept."""
+        x = torch.rand(1, 3, 9, 10, device=device, requires_grad=True)
+
+        def second() -> Tensor:
+            y = K.filters.bilateral_blur(x, 5, 0.3, (1.5, 1.1))
+            (gradient,) = torch.autograd.grad(y.square().sum(), x, create_graph=True)
+            return torch.autograd.grad(gradient.square().sum(), x)[0]
+
+        with K.backend("reference"):
+            expected = second()
+        assert_close(second(), expected, 1e-4, 1e-4 * float(expected.abs().max()))
+
     def test_bytes_are_the_rounded_float_result(self, device):
         x = torch.randint(0, 256, (2, 3, 21, 30), dtype=torch.uint8, device=device)
         wide = K.filters.bilateral_blur(x.double(), 5, 30.0, (1.5, 1.5))

@@ -29,23 +29,29 @@ inline constexpr Rule gaussian_levels{[](Backward const& b) -> variable_list {
                                         return {grad};
                                       },
                                       0, false};
-inline constexpr Rule bilateral_blur{[](Backward const& b) -> variable_list {
-  variable_list gradients(4);
-  if (b.needs(0) || b.needs(1)) {
-    variable_list const images =
-        b.call("bilateral_blur_backward", {{"wants_input", b.needs(0)}, {"wants_guidance", b.needs(1)}});
-    std::copy(images.begin(), images.end(), gradients.begin());
-  }
-  if (b.needs(2) || b.needs(3)) {
-    Tensor const x = b.tensor(0);
-    auto const type = x.scalar_type() == at::kDouble ? at::kDouble : at::kFloat;
-    Tensor const sums =
-        b.call("bilateral_blur_sigma_sums", {{"grad", b.grad().to(type)}, {"input", x.to(type)}})[0].sum(2);
-    if (b.needs(2)) gradients[2] = sums.select(1, 0) / b.tensor(2).pow(3);
-    if (b.needs(3)) gradients[3] = sums.narrow(1, 1, 2) / b.tensor(3).pow(3);
-  }
-  return gradients;
-}};
+inline constexpr Rule bilateral_blur{
+    [](Backward const& b) -> variable_list {
+      variable_list gradients(4);
+      if (b.needs(0) || b.needs(1)) {
+        bool const kept = b.arguments.back().toBool();
+        variable_list const images =
+            b.call("bilateral_blur_backward", {{"output", kept ? c10::IValue(b.results[0].detach()) : c10::IValue()},
+                                               {"totals", kept ? c10::IValue(b.results[1]) : c10::IValue()},
+                                               {"wants_input", b.needs(0)},
+                                               {"wants_guidance", b.needs(1)}});
+        std::copy(images.begin(), images.end(), gradients.begin());
+      }
+      if (b.needs(2) || b.needs(3)) {
+        Tensor const x = b.tensor(0);
+        auto const type = x.scalar_type() == at::kDouble ? at::kDouble : at::kFloat;
+        Tensor const sums =
+            b.call("bilateral_blur_sigma_sums", {{"grad", b.grad().to(type)}, {"input", x.to(type)}})[0].sum(2);
+        if (b.needs(2)) gradients[2] = sums.select(1, 0) / b.tensor(2).pow(3);
+        if (b.needs(3)) gradients[3] = sums.narrow(1, 1, 2) / b.tensor(3).pow(3);
+      }
+      return gradients;
+    },
+    2};
 
 // Of filter2d_separable (input, kernels) and its transpose (grad, kernels).
 inline constexpr Rule filter2d_separable{[](Backward const& b) -> variable_list {

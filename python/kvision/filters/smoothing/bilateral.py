@@ -22,9 +22,12 @@ ColorDistance: TypeAlias = Literal["l1", "l2"]
 _DISTANCES = get_args(ColorDistance)
 
 
-def _reference(x: Tensor, *args: Any) -> Tensor:
-    weights, taps, _ = _weights(x, *args)
-    return (weights * taps).sum(0) / weights.sum(0)
+def _reference(x: Tensor, *args: Any) -> tuple[Tensor, Tensor]:
+    """Also return the sums of the weights (B, 1, H, W), which the gradient reads, or (B, 0, H, W) if they are not to be kept."""
+    *plain, keeps_totals = args
+    weights, taps, _ = _weights(x, *plain)
+    totals = weights.sum(0).expand(x.shape[0], -1, *x.shape[2:])
+    return (weights * taps).sum(0) / totals, totals[:, : int(keeps_totals)]
 
 
 def _weights(
@@ -56,13 +59,14 @@ def _weights(
 
 def _reference_backward(grad: Tensor, x: Tensor, guidance: Tensor | None, *args: Any) -> tuple[Tensor, Tensor]:
     """The gradients to image and guidance; one that is not requested has no channels."""
-    *rest, wants_x, wants_guidance = args
+    color, space, _, _, *numbers, wants_x, wants_guidance = args  # output and totals follow from the others
+    rest = (color, space, *numbers, False)
     nothing = grad.new_empty(grad.shape[0], 0, *grad.shape[2:])
     if guidance is None:
-        _, vjp_fn = torch.func.vjp(lambda x: _reference(x, None, *rest), x)
+        _, vjp_fn = torch.func.vjp(lambda x: _reference(x, None, *rest)[0], x)
         return vjp_fn(grad)[0] if wants_x else nothing, nothing
     guidance = guidance.expand(x.shape[0], -1, -1, -1)
-    _, vjp_fn = torch.func.vjp(lambda x, guidance: _reference(x, guidance, *rest), x, guidance)
+    _, vjp_fn = torch.func.vjp(lambda x, guidance: _reference(x, guidance, *rest)[0], x, guidance)
     grad_x, grad_guidance = vjp_fn(grad)
     return grad_x if wants_x else nothing, grad_guidance if wants_guidance else nothing
 
@@ -84,21 +88,32 @@ def _reference_sigma_sums(grad: Tensor, x: Tensor, *args: Any) -> Tensor:
     return torch.stack([(weight_grads * square).sum((0, 2, 4)) for square in (squared, dy**2, dx**2)], 1)
 
 
-def _backward(needs: Sequence[bool], grad: Tensor, *args: Any) -> list[Tensor | None]:
-    x, _, sigma_color, sigma_space = args[:4]
+def _backward(
+    needs: Sequence[bool], grad: Tensor, of_totals: None, output: Tensor, totals: Tensor, *args: Any
+) -> list[Tensor | None]:
+    x, _, sigma_color, sigma_space, *numbers, keeps_totals = args
     grads: list[Any] = [None] * 4
     if needs[0] or needs[1]:
-        grads[:2] = _bilateral_blur_backward(grad, *args, needs[0], needs[1])
+        kept = (output.detach(), totals) if keeps_totals else (None, None)
+        grads[:2] = _bilateral_blur_backward(grad, *args[:4], *kept, *numbers, needs[0], needs[1])
     if needs[2] or needs[3]:
         promoted = compute_dtype(x)  # sums of many products
-        sums = _bilateral_blur_sigma_sums(grad.to(promoted), x.to(promoted), *args[1:]).sum(2)
+        sums = _bilateral_blur_sigma_sums(grad.to(promoted), x.to(promoted), *args[1:-1]).sum(2)
         grads[2] = sums[:, 0] / sigma_color**3 if needs[2] else None
         grads[3] = sums[:, 1:] / sigma_space**3 if needs[3] else None
     # One guidance or sigma may have served the whole batch.
     return [g.sum_to_size(a.shape) if need else None for g, a, need in zip(grads, args[:4], needs[:4], strict=True)]
 
 
-_bilateral_blur = register("bilateral_blur", _reference, backward=_backward, bytes=True)
+_bilateral_blur = register(
+    "bilateral_blur",
+    _reference,
+    fake=lambda x, *args: [x.shape, (x.shape[0], int(args[-1]), *x.shape[2:])],
+    backward=_backward,
+    saves_results=True,
+    non_differentiable=(1,),
+    bytes=True,
+)
 _bilateral_blur_backward = register("bilateral_blur_backward", _reference_backward, fake=_backward_sizes)
 _bilateral_blur_sigma_sums = register(
     "bilateral_blur_sigma_sums", _reference_sigma_sums, fake=lambda grad, *_: (grad.shape[0], 3, grad.shape[2])
@@ -212,7 +227,16 @@ def _checked(
     _check.reflectable(op, input, (ky // 2, kx // 2), border_type)
     _check.choice(op, "color_distance_type", color_distance_type, _DISTANCES)
     border, distance = BORDER[border_type], COLOR_DISTANCE[color_distance_type]
-    return _bilateral_blur(pixels(input), guidance, color, space, ky, kx, number, sigma_y, sigma_x, border, distance)
+    # The kernels that read the totals are those of float32 images on a GPU.
+    keeps_totals = (
+        input.is_cuda
+        and input.dtype == torch.float32
+        and guidance is None
+        and input.requires_grad
+        and torch.is_grad_enabled()
+    )
+    numbers = (ky, kx, number, sigma_y, sigma_x, border, distance)
+    return _bilateral_blur(pixels(input), guidance, color, space, *numbers, keeps_totals)[0]
 
 
 def _sigma_color(op: str, x: Tensor, value: Tensor | float) -> tuple[Tensor | None, float]:

@@ -28,6 +28,10 @@ __device__ __forceinline__ F byte_of(uint32_t four, int k) {
   else
     return F(four >> 8 * k & 255);
 }
+// The same times `scale`, rounded once: 2^23 times scale is exact.
+__device__ __forceinline__ float scaled_byte_of(uint32_t four, int k, float scale) {
+  return fmaf(__uint_as_float(__byte_perm(four, 0x4b000000u, 0x7440 + k)), scale, -scale * float(1 << 23));
+}
 // Inline assembly because CUDA's headers of 16-bit types add a second to the compilation of every file.
 __device__ __forceinline__ float read(Half x) {
   float y;
@@ -50,17 +54,32 @@ __device__ __forceinline__ BFloat16 round_to_bfloat16(float x) {
   return y;
 #endif
 }
+// Saturates; NaN is 0.
+__device__ __forceinline__ uint8_t round_to_byte(float x) {
+  uint32_t byte;
+  asm("cvt.rni.sat.u8.f32 %0, %1;" : "=r"(byte) : "f"(x));
+  return uint8_t(byte);
+}
 
 template <class T>
 __device__ __forceinline__ T round_to(Compute<T> x) {
   if constexpr (sizeof(T) >= 4)
     return x;
   else if constexpr (sizeof(T) == 1)
-    return uint8_t(min(max(__float2int_rn(x), 0), 255));  // saturates; NaN is 0
+    return round_to_byte(x);
   else if constexpr (__is_same(T, Half))
     return round_to_half(x);
   else
     return round_to_bfloat16(x);
+}
+
+// Four numbers as bytes of a word, rounded and saturated as by round_to.
+__device__ __forceinline__ uint32_t round_to_bytes(float a, float b, float c, float d) {
+  uint32_t bytes;  // two instructions, as ptxas merges the conversions to integers with those to bytes
+  asm("{ .reg .u32 upper; cvt.pack.sat.u8.s32.b32 upper, %4, %3, 0; cvt.pack.sat.u8.s32.b32 %0, %2, %1, upper; }"
+      : "=r"(bytes)
+      : "r"(__float2int_rn(a)), "r"(__float2int_rn(b)), "r"(__float2int_rn(c)), "r"(__float2int_rn(d)));
+  return bytes;
 }
 
 // --- vectors ---------------------------------------------------------------------------------------------------------
@@ -85,13 +104,24 @@ __device__ __forceinline__ void store_vector(T* to, Vector<T, P> const& vector) 
   else
     *reinterpret_cast<Vector<T, P>*>(to) = vector;
 }
+template <class T, int P, class F>
+__device__ __forceinline__ Vector<T, P> rounded(F const (&v)[P]) {
+  Vector<T, P> vector;
+  if constexpr (sizeof(T) == 1 && P % 4 == 0) {
+    uint32_t words[P / 4];
+#pragma unroll
+    for (int i = 0; i < P / 4; ++i) words[i] = round_to_bytes(v[4 * i], v[4 * i + 1], v[4 * i + 2], v[4 * i + 3]);
+    __builtin_memcpy(&vector, words, sizeof(vector));
+  } else {
+#pragma unroll
+    for (int i = 0; i < P; ++i) vector.v[i] = round_to<T>(v[i]);
+  }
+  return vector;
+}
 // The same of P numbers, which are rounded first.
 template <class T, int P, class F>
 __device__ __forceinline__ void store_vector(T* to, F const (&v)[P]) {
-  Vector<T, P> vector;
-#pragma unroll
-  for (int i = 0; i < P; ++i) vector.v[i] = round_to<T>(v[i]);
-  store_vector(to, vector);
+  store_vector(to, rounded<T>(v));
 }
 
 // Pixels per thread: 16 bytes of types with 2 or 4 bytes.
@@ -215,14 +245,6 @@ constexpr int kPerWord = sizeof(T) < 4 ? 4 / sizeof(T) : 1;
 template <class T>
 __device__ __forceinline__ int preceding_elements(T const* at) {
   return kPerWord<T> == 1 ? 0 : int(reinterpret_cast<uintptr_t>(at) % 4 / sizeof(T));
-}
-
-template <class T, int P>
-__device__ __forceinline__ Vector<T, P> rounded(Compute<T> const (&v)[P]) {
-  Vector<T, P> vector;
-#pragma unroll
-  for (int i = 0; i < P; ++i) vector.v[i] = round_to<T>(v[i]);
-  return vector;
 }
 
 // Stores the P elements of each thread of a warp, from its address `to` on, to any address. Called by all 32 threads,

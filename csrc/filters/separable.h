@@ -54,13 +54,17 @@ KV_HD F tap_weight(Taps<F> const& taps, int64_t sample, int t) {
   return excess == 0 ? F(1) : exp(-excess / (2 * sigma * sigma));
 }
 
-// sum / divisor. Bytes are divided exactly: a product with the rounded reciprocal may miss a tie.
+// sum / divisor. Bytes are divided exactly: a product with the rounded reciprocal may miss a tie. On CUDA a fused
+// product finds the error of that product, which takes a third of the instructions of a division.
 template <class T, class V, class F>
 KV_HD V quotient(V sum, F divisor, F reciprocal) {
-  if constexpr (sizeof(T) == 1)
-    return sum / divisor;
-  else
-    return sum * reciprocal;
+  V const product = sum * reciprocal;
+  if constexpr (sizeof(T) > 1) return product;
+#if defined(__CUDA_ARCH__)
+  return fmaf(fmaf(-product, divisor, sum), reciprocal, product);
+#else
+  return sum / divisor;
+#endif
 }
 
 constexpr int kMaxTaps = 701;  // of the CUDA kernels: shared memory holds that many rows

@@ -32,6 +32,8 @@ __device__ __forceinline__ double tie_gradient(double g, double count) { return 
 // Windows for which is_3x3 holds, over planar images.
 template <class T>
 int dilation_3x3(Dilation<T> const& p, CUstream_st* stream);
+// False where the images are narrower than a group of columns, or channels last.
+bool dilation_3x3_of_bytes(Dilation<uint8_t> const& p, CUstream_st* stream);
 template <class T>
 int dilation_3x3_backward(DilationBackward<T> const& p, CUstream_st* stream);
 // Windows for which needs_no_workspace holds, over planar images; without the flat ones if `flat_left_out`.

@@ -57,7 +57,7 @@ Tensor dilation(Tensor const& input, Tensor const& kernel, std::optional<Tensor>
   CheckedElement const element("dilation", input, kernel, heights, origin_y, origin_x, value, erode);
   Layout const layout = layout_of(input);
   Tensor const x = as_layout(input, layout), y = empty_like(x, layout);
-  dispatch_floating_and_cpu_uint8("dilation", x, [&](auto type) {
+  dispatch_floating_and_uint8("dilation", x, [&](auto type) {
     using T = typename decltype(type)::type;
     Dilation<T> const params{planes<T const>(x, layout), planes<T>(y, layout), element.window<Compute<T>>(),
                              planes_of_sample(x, layout)};

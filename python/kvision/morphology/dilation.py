@@ -50,7 +50,7 @@ def _reference(
 
 
 register("dilation_backward", vjp(_reference), fake=lambda grad, x, *_: x.shape, layout_of=1)
-_dilation = register("dilation", _reference, gradients="input: dilation_backward; heights: reference", bytes="cpu")
+_dilation = register("dilation", _reference, gradients="input: dilation_backward; heights: reference", bytes=True)
 
 
 def dilation(

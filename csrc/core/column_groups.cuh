@@ -1,0 +1,272 @@
+// Stencils over planar images whose rows begin anywhere, on CUDA. A thread goes down a group of P adjacent columns. It
+// reads its pixels and those on either side itself, as words of 4 bytes that may begin within a word of memory, and
+// keeps them as they are stored until it needs numbers:
+//
+//   words of memory    |  . a  |  b c  |  d e  |  f g  |  h .  |        float16, P = 4, R = 1
+//   pixels                 a      b c     d e      f                     a and f belong to the neighbors
+//
+// The groups of all planes follow each other, so threads of a warp may be in different planes and none is idle where a
+// row ends. The last group of a row ends with it, and overlaps the one before. Included by *.cu files.
+#pragma once
+
+#include "launch.cuh"
+
+namespace kv {
+
+// Columns of a group, unless a kernel says otherwise.
+template <class T>
+constexpr int kGroupPixels = sizeof(T) < 4 ? 8 : 4;
+
+// Splits planes into groups of P columns and `rows` rows, one for each thread. Adjacent blocks are below each other.
+template <int P, int Threads = 256>
+struct ColumnGroups {
+  unsigned across, down, groups, threads;  // groups of a row, row blocks of a plane, groups of all planes; of a block
+  int rows, last, before_last;  // columns at which the last group of a row begins, and at most the ones before
+
+  // Fewer rows where the images would not occupy the GPU. The groups before the last one of a row end `reach` pixels
+  // before it: what they read on either side is in bounds, but for the first group.
+  ColumnGroups(int64_t planes, int64_t height, int64_t width, int most_rows, int reach)
+      : across(unsigned(ceil_div(width, P))),
+        groups(unsigned(planes * across)),
+        threads(unsigned(min(ceil_div(int64_t(groups), 32) * 32, int64_t(Threads)))),
+        rows(most_rows),
+        last(int(width) - P),
+        before_last(int(width) - (width % P == 0 ? P : P + reach)) {
+    constexpr int kFewestRows = 8, kBusyThreads = 512;  // of a multiprocessor
+    while (rows >= 2 * kFewestRows &&
+           groups * ceil_div(height, int64_t(rows)) < int64_t(kBusyThreads) * multiprocessors())
+      rows /= 2;
+    down = unsigned(ceil_div(height, rows));
+  }
+  unsigned blocks() const { return (groups + threads - 1) / threads * down; }
+
+  // All threads have a group: those that are too many have the last one as well.
+  __device__ __forceinline__ void locate(int64_t& plane, int& x, int& y) const {
+    unsigned const q = blockIdx.x / down, group = min(q * threads + threadIdx.x, groups - 1), p = group / across;
+    unsigned const at = group - p * across;
+    plane = p;
+    x = at + 1 == across ? last : min(int(at) * P, before_last);
+    y = int(blockIdx.x - q * down) * rows;
+  }
+};
+
+// Whether groups of P columns with R pixels on either side serve these images: the last two groups of a row may overlap
+// others, but not reach its beginning.
+template <int P, int R, class T>
+bool supports_groups(Planes<T> const& x) {
+  constexpr int kSize = int(sizeof(T)), kUnit = P * kSize > 8 ? 8 / kSize : 1;
+  return x.step == 1 && x.width >= P + 2 * ((R + kUnit - 1) / kUnit * kUnit) &&
+         x.row_stride * int64_t(kSize) <= INT32_MAX && x.width <= INT32_MAX / 2;
+}
+
+// Calls f with the bytes that rows of the images are multiples of, and begin at, as a constant: those of a group of P
+// pixels, 8, or 0 for any. float64 has the last form only, which serves all images.
+template <int P, class F, class T, class... More>
+void with_row_bytes(F f, Planes<T> const& first, Planes<More> const&... more) {
+  constexpr int64_t kSize = sizeof(T), kGroup = P * kSize;
+  auto const bits = [](auto const& p) {
+    return int64_t(reinterpret_cast<uintptr_t>(p.data)) |
+           (p.outer_stride | p.inner_stride | p.row_stride | p.width) * kSize;
+  };
+  int64_t const all = (bits(first) | ... | bits(more));
+  if constexpr (kGroup <= 16) {
+    if (all % kGroup == 0) return f(std::integral_constant<int, int(kGroup)>{});
+    if constexpr (kGroup > 8)
+      if (all % 8 == 0) return f(std::integral_constant<int, 8>{});
+  }
+  f(std::integral_constant<int, 0>{});
+}
+
+// Reads rows of a thread's group: P pixels and R on either side. `Bytes` are those of with_row_bytes.
+template <class T, int P, int R, int Bytes>
+struct GroupRows {
+  static constexpr int kPerWord = kv::kPerWord<T>;
+  static constexpr bool kShifted = Bytes == 0 && kPerWord > 1;
+  static constexpr int kPixels = P + 2 * R, kOwn = P / kPerWord, kSide = (R + kPerWord - 1) / kPerWord;
+  static constexpr int kWords = Bytes > 0 ? kOwn + 2 * kSide : (kPixels + 2 * (kPerWord - 1)) / kPerWord;
+  static constexpr int kSkip = Bytes > 0 ? kSide* kPerWord - R : 0;  // pixels of the words that precede the first
+  static constexpr int kPacked = (kPixels + kSkip + kPerWord - 1) / kPerWord;
+  // Of ColumnGroups: groups begin at multiples of `Bytes`.
+  static constexpr int kReach = Bytes > 0 ? (R* int(sizeof(T)) + Bytes - 1) / Bytes* Bytes / int(sizeof(T)) : R;
+  static_assert(kReach <= P && kSide <= kOwn);
+  using Word = std::conditional_t<sizeof(T) == 8, uint64_t, uint32_t>;
+
+  T const* const from;  // the first pixel of the group in the plane's first row
+  int const stride, width, x;
+  Border const border;
+  int safe_from, safe_rows;  // rows that are read by words: theirs are in the memory of the images
+  bool const left_end, right_end;
+
+  struct Fetched {
+    Word words[kWords];
+    unsigned shift;  // bits of the first word that precede the first pixel
+  };
+
+  __device__ __forceinline__ GroupRows(Planes<T const> const& images, int64_t plane, int x, Border border)
+      : from(images.plane(plane) + x),
+        stride(int(images.row_stride * sizeof(T))),
+        width(int(images.width)),
+        x(x),
+        border(border),
+        safe_from(0),
+        safe_rows(int(images.height)),
+        left_end(x == 0),
+        right_end(x + P == width) {
+    if constexpr (Bytes == 0) {
+      auto const address = [](T const* at) { return int64_t(reinterpret_cast<uintptr_t>(at)); };
+      int64_t const begin = address(images.data),
+                    end = address(images.row(images.count() - 1, images.height - 1) + width);
+      int64_t const first = (address(from - R) & ~int64_t(3)) - begin,
+                    last = address(from - R) + kWords * int(sizeof(Word)) - end;
+      int const height = int(images.height);
+      while (safe_from < height && first + int64_t(safe_from) * stride < 0) ++safe_from;
+      int to = height;
+      while (to > safe_from && last + int64_t(to - 1) * stride > 0) --to;
+      safe_rows = border == Border::circular && (left_end || right_end) ? 0 : to - safe_from;
+    }
+  }
+
+  __device__ __forceinline__ Fetched fetch(int y) const {
+    Fetched f{};
+    char const* const at = reinterpret_cast<char const*>(from) + int64_t(y) * stride;
+    if constexpr (Bytes > 0) {
+      using V = Vector<Word, Bytes / int(sizeof(Word))>;
+      constexpr int N = Bytes / int(sizeof(Word));
+#pragma unroll
+      for (int i = 0; i < kOwn; i += N) {
+        V const vector = *reinterpret_cast<V const*>(at + i * sizeof(Word));
+#pragma unroll
+        for (int k = 0; k < N; ++k) f.words[kSide + i + k] = vector.v[k];
+      }
+      bool const wraps = border == Border::circular;
+      int const row_bytes = width * int(sizeof(T));
+      auto const* const left = reinterpret_cast<Word const*>(at + (wraps && left_end ? row_bytes : 0)) - kSide;
+      auto const* const right = reinterpret_cast<Word const*>(at - (wraps && right_end ? row_bytes : 0)) + kOwn;
+#pragma unroll
+      for (int i = 0; i < kSide; ++i) {
+        if (!left_end || wraps) f.words[i] = left[i];
+        if (!right_end || wraps) f.words[kSide + kOwn + i] = right[i];
+      }
+    } else {
+      char const *const at_row = at, *const first = at - R * int(sizeof(T));
+      unsigned const preceding = kShifted ? unsigned(reinterpret_cast<uintptr_t>(first)) & 3 : 0;
+      if (unsigned(y - safe_from) < unsigned(safe_rows)) {
+        f.shift = 8 * preceding;
+        auto const* const words = reinterpret_cast<Word const*>(first - preceding);
+#pragma unroll
+        for (int i = 0; i < kWords; ++i) f.words[i] = words[i];
+      } else {
+#pragma unroll
+        for (int i = 0; i < kPixels; ++i) {
+          int at = x - R + i;
+          if (border == Border::circular) at += at < 0 ? width : at >= width ? -width : 0;
+          if (unsigned(at) >= unsigned(width)) continue;
+          T const pixel = reinterpret_cast<T const*>(at_row)[at - x];
+          Word bits = 0;
+          __builtin_memcpy(&bits, &pixel, sizeof(T));
+          f.words[i / kPerWord] |= bits << i % kPerWord * 8 * int(sizeof(T)) % 32;
+        }
+      }
+    }
+    return f;
+  }
+
+  // As `kPacked` words that begin `kSkip` pixels before the first one. Out of bounds they have other pixels.
+  static __device__ __forceinline__ void pack(Fetched const& f, Word (&packed)[kPacked]) {
+#pragma unroll
+    for (int i = 0; i < kPacked; ++i) {
+      packed[i] = f.words[i];
+      if constexpr (kShifted) packed[i] = __funnelshift_r(f.words[i], i + 1 < kWords ? f.words[i + 1] : 0u, f.shift);
+    }
+  }
+
+  // As numbers: the pixels x - R ... x + P - 1 + R. Out of bounds they have other pixels.
+  static __device__ __forceinline__ void unpack(Fetched const& f, Compute<T> (&v)[kPixels]) {
+    Word packed[kPacked];
+    pack(f, packed);
+#pragma unroll
+    for (int i = 0; i < kPixels; ++i) {
+      Word const word = packed[(i + kSkip) / kPerWord];
+      if constexpr (sizeof(T) == 1) {
+        v[i] = byte_of<float>(word, (i + kSkip) % kPerWord);
+      } else {
+        T pixels[sizeof(Word) / sizeof(T)];
+        __builtin_memcpy(pixels, &word, sizeof(word));
+        v[i] = read(pixels[(i + kSkip) % kPerWord]);
+      }
+    }
+  }
+  __device__ __forceinline__ void spread(Fetched const& f, Compute<T> (&v)[kPixels]) const {
+    unpack(f, v);
+    fill_border(v);
+  }
+  // Pixels out of bounds follow the border. V: one of N values, or several that begin with it or end with it.
+  template <int N = P, class V>
+  __device__ __forceinline__ void fill_border(V (&v)[N + 2 * R]) const {
+    if (border == Border::circular) return;  // fetched
+    if (left_end) {
+#pragma unroll
+      for (int i = 0; i < R; ++i)
+        v[i] = border == Border::constant ? V{} : border == Border::reflect ? v[2 * R - i] : v[R];
+    }
+    if (right_end) {
+#pragma unroll
+      for (int i = 0; i < R; ++i)
+        v[R + N + i] = border == Border::constant ? V{} : border == Border::reflect ? v[R + N - 2 - i] : v[R + N - 1];
+    }
+  }
+};
+
+// Stores rows of a thread's group.
+template <class T, int P, int Bytes>
+struct GroupStore {
+  T* at;  // the group in the next row
+  int const stride;
+
+  __device__ __forceinline__ GroupStore(Planes<T> const& images, int64_t plane, int x, int y)
+      : at(images.row(plane, y) + x), stride(int(images.row_stride)) {}
+
+  __device__ __forceinline__ void words(Vector<T, P> const& vector) const {
+    __builtin_assume(__isGlobal(at));
+    constexpr int N = P * int(sizeof(T)) / 4;
+    uint32_t own[N];
+    __builtin_memcpy(own, &vector, sizeof(own));
+    if constexpr (sizeof(T) >= 4) {
+#pragma unroll
+      for (int i = 0; i < P; ++i) at[i] = vector.v[i];
+    } else {
+      unsigned const preceding = unsigned(reinterpret_cast<uintptr_t>(at)) & 3, before = (4 - preceding) & 3;
+      auto* const to = reinterpret_cast<uint32_t*>(reinterpret_cast<char*>(at) + before);
+      __builtin_assume(__isGlobal(to));
+#pragma unroll
+      for (int i = 0; i + 1 < N; ++i) to[i] = __funnelshift_r(own[i], own[i + 1], 8 * before);
+      if (preceding == 0) {
+        to[N - 1] = own[N - 1];
+      } else {
+#pragma unroll
+        for (int i = 0; i < kPerWord<T> - 1; ++i) {
+          if (i * sizeof(T) < before) at[i] = vector.v[i];
+          if (i * sizeof(T) < preceding) at[P - 1 - i] = vector.v[P - 1 - i];
+        }
+      }
+    }
+  }
+  __device__ __forceinline__ void put(Compute<T> const (&v)[P]) { put(rounded<T>(v)); }
+  __device__ __forceinline__ void put(Vector<T, P> const& vector) {
+    if constexpr (Bytes > 0) {
+      constexpr int N = Bytes / int(sizeof(T));
+#pragma unroll
+      for (int i = 0; i < P; i += N) {
+        Vector<T, N> part;
+#pragma unroll
+        for (int k = 0; k < N; ++k) part.v[k] = vector.v[i + k];
+        store_vector(at + i, part);
+      }
+    } else {
+      words(vector);
+    }
+    at += stride;
+  }
+};
+
+}  // namespace kv

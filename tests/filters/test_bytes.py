@@ -1,0 +1,98 @@
+"""Kernels for images of bytes on CUDA: which images take them, and results where rows and planes begin anywhere."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+
+import pytest
+import torch
+from torch import Tensor
+
+from kvision import color, enhance, filters, morphology
+
+pytestmark = pytest.mark.native
+
+Call = Callable[[Tensor], Tensor]
+
+
+def dilation(x: Tensor) -> Tensor:
+    return morphology.dilation(x, torch.ones(3, 3, device=x.device))
+
+
+def erosion(x: Tensor) -> Tensor:
+    return morphology.erosion(x, torch.ones(3, 3, device=x.device), border_type="constant", border_value=99.6)
+
+
+def cross(x: Tensor) -> Tensor:
+    element = torch.tensor([[0.0, 1, 0], [1, 1, 1], [0, 1, 0]], device=x.device)
+    return morphology.dilation(x, element, 7 * element)
+
+
+# Calls that go down groups of eight columns, the kernel, and how many pixels on either side the window reaches.
+GROUPS: dict[str, tuple[Call, str, int]] = {
+    "dilation": (dilation, "dilation_3x3_bytes", 1),
+    "median 3": (partial(filters.median_blur, kernel_size=3), "median_groups", 1),
+    "gauss 5": (partial(filters.gaussian_blur2d, kernel_size=5, sigma=(1.5, 1.5)), "separable_groups", 2),
+    "box 3": (partial(filters.box_blur, kernel_size=3), "separable_groups", 1),
+}
+POINTWISE: dict[str, tuple[Call, str]] = {
+    "gray": (color.rgb_to_grayscale, "run_bytes"),
+    "brightness": (partial(enhance.adjust_brightness, factor=0.1), "run_bytes"),
+    "equalize": (enhance.equalize, "equalize_parts"),
+}
+OTHERS: dict[str, Call] = {
+    "erosion": erosion,
+    "gauss 11": partial(filters.gaussian_blur2d, kernel_size=11, sigma=(1.5, 1.5)),
+    "cross": cross,
+    "median 5": partial(filters.median_blur, kernel_size=5),
+    "box 5": partial(filters.box_blur, kernel_size=5, border_type="circular"),
+    "laplacian": partial(filters.laplacian, kernel_size=3),
+    "hue": partial(enhance.adjust_hue, factor=0.1),
+}
+
+
+def kernels_of(call: Call, x: Tensor) -> str:
+    activities = [torch.profiler.ProfilerActivity.CPU, torch.profiler.ProfilerActivity.CUDA]
+    call(x)
+    with torch.profiler.profile(activities=activities) as profile:
+        call(x)
+        torch.cuda.synchronize()
+    return " ".join(e.name for e in profile.events() if e.device_type == torch.autograd.DeviceType.CUDA)
+
+
+@pytest.mark.parametrize("name", GROUPS)
+def test_which_images_take_groups_of_columns(name, device):
+    if device.type != "cuda":
+        pytest.skip("needs --device cuda")
+    call, kernel, reach = GROUPS[name]
+    fewest = 8 + 2 * reach
+    for width in (fewest - 1, fewest, 33):
+        x = torch.ones(1, 3, 12, width, dtype=torch.uint8, device=device)
+        assert (kernel in kernels_of(call, x)) == (width >= fewest), width
+        assert kernel not in kernels_of(call, x.contiguous(memory_format=torch.channels_last))
+        assert kernel not in kernels_of(call, x.float())
+
+
+@pytest.mark.parametrize("name", POINTWISE)
+def test_which_calls_compute_with_bytes(name, device):
+    if device.type != "cuda":
+        pytest.skip("needs --device cuda")
+    call, kernel = POINTWISE[name]
+    launched = kernels_of(call, torch.ones(2, 3, 13, 17, dtype=torch.uint8, device=device))
+    assert kernel in launched
+    assert "elementwise" not in launched  # no conversion
+
+
+@pytest.mark.parametrize("name", [*GROUPS, *POINTWISE, *OTHERS])
+def test_bytes_that_begin_anywhere(name, device):
+    call = OTHERS[name] if name in OTHERS else (GROUPS.get(name) or POINTWISE[name])[0]
+    of_levels = name in POINTWISE or name == "hue" or name.startswith("gauss")
+    for height, width in ((37, 513), (12, 33), (26, 264), (40, 19), (9, 500)):
+        count = 6 * height * width
+        memory = torch.randint(0, 256, (count + 3,), generator=torch.Generator().manual_seed(width)).to(torch.uint8)
+        for first in range(4):  # at the beginning of the memory, and at its end
+            x = memory[first : first + count].view(2, 3, height, width)
+            on_device = memory.to(device)[first : first + count].view_as(x)
+            difference = (call(on_device).cpu().int() - call(x).int()).abs().max()
+            assert difference <= (1 if of_levels else 0), (height, width, first)

@@ -13,6 +13,7 @@ __device__ __forceinline__ double saturated(double x) { return fmin(fmax(x, 0.0)
 
 template <class T>
 __device__ __forceinline__ int level_of(T stored) {
+  if constexpr (sizeof(T) == 1) return stored;
   using F = Compute<T>;
   F const pixel = read(stored);
   F x = saturated(pixel) * 255;
@@ -23,14 +24,14 @@ __device__ __forceinline__ int level_of(T stored) {
 
 // Pixels of a vector of 16 bytes. float64, which is rare, has single pixels: each form costs compile time.
 template <class T>
-constexpr int kRowVector = sizeof(T) == 8 ? 1 : kPixels<T>;
+constexpr int kRowVector = sizeof(T) == 8 ? 1 : 16 / int(sizeof(T));
 
 // Calls f(vector, i) for the pixels [begin, end) of a flat plane, each in one vector that begins at pixel i: aligned
 // vectors of P pixels, and peeled ones of a single pixel. P is 1 if pixels are not adjacent. Each thread issues several
 // loads before it uses one.
 template <int Threads, int P, class T, class F>
 __device__ __forceinline__ void for_each_vector(T const* x, int64_t step, int begin, int end, F f) {
-  constexpr int kAtOnce = 4;
+  constexpr int kAtOnce = P > 8 ? 2 : 4;
   AlignedBody<P, int> const body(x, begin, end);
   body.for_each_peeled([&](int i) { f(Vector<T, 1>{x[i]}, i); });
   for (int64_t first = body.begin + int(threadIdx.x) * P; first < body.end; first += Threads * P * kAtOnce) {

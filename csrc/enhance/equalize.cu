@@ -17,17 +17,64 @@ constexpr int kBlocks = sizeof(T) == 8 ? 2 : 3;  // per multiprocessor
 // Pixels of a block, at most: 227 KiB of shared memory are enough for three blocks then.
 constexpr int64_t kMaxPixels = (64 << 10) + 64;
 
-// The table from level to value, in as many copies as fit the memory of the counts.
-template <class F>
+// The table from level to value, in as many copies as fit the memory of the counts. Bytes are values of four levels in
+// a word, with a copy for each thread of a warp: they read different banks.
+template <class T>
 struct Table {
-  static constexpr int kTables = kCountBytes / (kLevels * int(sizeof(F)));
-  F const* values;
-  __device__ __forceinline__ F operator[](int level) const { return values[level * kTables + threadIdx.x % kTables]; }
+  static constexpr bool kBytes = sizeof(T) == 1;
+  using Value = std::conditional_t<kBytes, uint8_t, Compute<T>>;
+  static constexpr int kTables = kCountBytes / (kLevels * int(sizeof(Value)));
+  static_assert(!kBytes || kTables == 32);
+  Value const* values;
+  __device__ __forceinline__ Value operator[](int level) const {
+    if constexpr (kBytes)
+      return values[(level & ~3) * kTables + (level & 3) + 4 * int(threadIdx.x % kTables)];
+    else
+      return values[level * kTables + threadIdx.x % kTables];
+  }
+  static __device__ __forceinline__ Value unchanged(T pixel) {
+    if constexpr (kBytes)
+      return pixel;
+    else
+      return read(pixel);
+  }
+  // Thread `level` writes the copies of its value.
+  static __device__ __forceinline__ void write(void* memory, int level, int mapped) {
+    if constexpr (kBytes) {
+      auto* const words = static_cast<uint32_t*>(memory) + level / 4 * kTables;
+      uint32_t four = uint32_t(mapped) << level % 4 * 8;
+      four |= __shfl_xor_sync(0xffffffffu, four, 1);
+      four |= __shfl_xor_sync(0xffffffffu, four, 2);
+#pragma unroll
+      for (int i = 0; i < kTables / 4; ++i) words[(i * 4 + level + level / 4) % kTables] = four;
+    } else {
+      constexpr int kEach = 16 / sizeof(Value), kVectors = kTables / kEach;
+      Vector<Value, kEach> copies;
+#pragma unroll
+      for (Value& copy : copies.v) copy = Value(mapped) / 255;
+      auto* const vectors = static_cast<Vector<Value, kEach>*>(memory) + level * kVectors;
+      int const first = level * kVectors / 8;  // threads with adjacent levels write to different banks at a time
+#pragma unroll
+      for (int i = 0; i < kVectors; ++i) vectors[(first + i) & (kVectors - 1)] = copies;
+    }
+  }
 };
+
+template <class T, int N>
+__device__ __forceinline__ void store_values(T* to, typename Table<T>::Value const (&v)[N]) {
+  if constexpr (sizeof(T) == 1) {
+    Vector<T, N> vector;
+#pragma unroll
+    for (int k = 0; k < N; ++k) vector.v[k] = v[k];
+    store_vector(to, vector);
+  } else {
+    store_vector(to, v);
+  }
+}
 
 // Builds the table in `memory` from the counts; thread i < kLevels has the count of level i. False if the plane stays
 // unchanged.
-template <class F>
+template <class T>
 __device__ __forceinline__ bool make_table(int count, bool opencv, void* memory, int& total) {
   __shared__ int darkest, brightest;
   int const level = threadIdx.x;
@@ -38,17 +85,7 @@ __device__ __forceinline__ bool make_table(int count, bool opencv, void* memory,
   if (count > 0 && up_to == total) brightest = count;
   __syncthreads();
   Curve const curve{opencv, total, darkest, brightest};
-  if (level < kLevels && curve.changes()) {
-    F const value = F(curve(up_to, count)) / 255;
-    constexpr int kEach = 16 / sizeof(F), kVectors = Table<F>::kTables / kEach;
-    Vector<F, kEach> copies;
-#pragma unroll
-    for (F& copy : copies.v) copy = value;
-    auto* const vectors = static_cast<Vector<F, kEach>*>(memory) + level * kVectors;
-    int const first = level * kVectors / 8;  // threads with adjacent levels write to different banks at a time
-#pragma unroll
-    for (int i = 0; i < kVectors; ++i) vectors[(first + i) & (kVectors - 1)] = copies;
-  }
+  if (level < kLevels && curve.changes()) Table<T>::write(memory, level, curve(up_to, count));
   __syncthreads();
   return curve.changes();
 }
@@ -56,17 +93,17 @@ __device__ __forceinline__ bool make_table(int count, bool opencv, void* memory,
 // Maps the pixels [begin, end) of a plane; without a table, copies them.
 template <int P, class T>
 __device__ __forceinline__ void map_pixels(Equalize<T> const& p, int64_t plane, int begin, int end, bool has_table,
-                                           Table<Compute<T>> table) {
+                                           Table<T> table) {
   T* const y = p.y.plane(plane);
   for_each_vector<kThreads, P>(p.x.plane(plane), p.x.step, begin, end, [&](auto const& vector, int i) {
     constexpr int N = sizeof(vector) / sizeof(T);
-    Compute<T> v[N];
+    typename Table<T>::Value v[N];
 #pragma unroll
     for (int k = 0; k < N; ++k) {
       int const level = level_of(vector.v[k]);
-      v[k] = has_table && level < kLevels ? table[level] : read(vector.v[k]);
+      v[k] = has_table && level < kLevels ? table[level] : Table<T>::unchanged(vector.v[k]);
     }
-    store_vector(y + i * p.y.step, v);
+    store_values(y + i * p.y.step, v);
   });
 }
 
@@ -98,9 +135,10 @@ __global__ void __launch_bounds__(kThreads, kBlocks<T>) equalize_parts(Equalize<
     for (int k = 0; k < N; ++k) {
       int const level = level_of(vector.v[k]);
       counter.add(level);
-      has_nan = has_nan || level == kNanLevel;
-      bytes.v[k] = static_cast<unsigned char>(level);
+      has_nan = has_nan || (sizeof(T) > 1 && level == kNanLevel);
+      if constexpr (sizeof(T) > 1) bytes.v[k] = static_cast<unsigned char>(level);
     }
+    if constexpr (sizeof(T) == 1) __builtin_memcpy(&bytes, &vector, N);
     *reinterpret_cast<Vector<unsigned char, N>*>(levels + i) = bytes;
   });
   has_nan = __syncthreads_or(has_nan);
@@ -115,8 +153,8 @@ __global__ void __launch_bounds__(kThreads, kBlocks<T>) equalize_parts(Equalize<
   }
   __syncthreads();
   int counted;
-  bool const changes = make_table<F>(count, p.opencv, memory, counted);
-  Table<F> const table{reinterpret_cast<F*>(memory)};
+  bool const changes = make_table<T>(count, p.opencv, memory, counted);
+  Table<T> const table{reinterpret_cast<typename Table<T>::Value*>(memory)};
   if (part == 0 && t == 0) p.changed[plane] = change_of_plane<T>(changes, counted < p.x.width);
 
   if (has_nan || !changes) {  // a byte cannot represent NaN
@@ -126,10 +164,10 @@ __global__ void __launch_bounds__(kThreads, kBlocks<T>) equalize_parts(Equalize<
     auto const map = [&](int i, auto size) {
       constexpr int N = size.value;
       auto const bytes = *reinterpret_cast<Vector<unsigned char, N> const*>(levels + i);
-      F v[N];
+      typename Table<T>::Value v[N];
 #pragma unroll
       for (int k = 0; k < N; ++k) v[k] = table[bytes.v[k]];
-      store_vector(y + i * p.y.step, v);
+      store_values(y + i * p.y.step, v);
     };
     body.for_each_peeled([&](int i) { map(i, std::integral_constant<int, 1>{}); });
     for (int i = body.begin + t * P; i < body.end; i += kThreads * P) map(i, std::integral_constant<int, P>{});
@@ -163,10 +201,10 @@ __global__ void __launch_bounds__(kThreads, kBlocks<T>) map_levels(Equalize<T> p
   int64_t const begin = int64_t(blockIdx.x % chunks) * each;
   int const count = threadIdx.x < kLevels ? p.counts[int64_t(plane) * kLevels + threadIdx.x] : 0;
   int counted;
-  bool const changes = make_table<F>(count, p.opencv, memory, counted);
+  bool const changes = make_table<T>(count, p.opencv, memory, counted);
   if (begin == 0 && threadIdx.x == 0) p.changed[plane] = change_of_plane<T>(changes, counted < p.x.width);
   map_pixels<P>(p, plane, int(begin), int(min(begin + each, p.x.width)), changes,
-                Table<F>{reinterpret_cast<F*>(memory)});
+                Table<T>{reinterpret_cast<typename Table<T>::Value*>(memory)});
 }
 
 // The gradient is read only where it passes: nowhere, for most planes.
@@ -240,7 +278,7 @@ int equalize_planes(Equalize<T> const& p, CUstream_st* stream) {
 template <class T>
 int equalize(Equalize<T> const& p, CUstream_st* stream) {
   int error = 0;
-  with_row_vectors<kRowVector<T>>(are_equally_aligned<kPixels<T>>(p.x, p.y),
+  with_row_vectors<kRowVector<T>>(are_equally_aligned<kRowVector<T>>(p.x, p.y),
                                   [&](auto pixels) { error = equalize_planes<pixels.value>(p, stream); });
   return error;
 }
@@ -257,7 +295,7 @@ int equalize_backward(EqualizeBackward<T> const& p, CUstream_st* stream) {
   return cudaGetLastError();
 }
 
-KV_INSTANTIATE(equalize, Equalize)
+KV_INSTANTIATE_WITH_BYTES(equalize, Equalize)
 KV_INSTANTIATE(equalize_backward, EqualizeBackward)
 
 }  // namespace kv::enhance::cuda

@@ -17,7 +17,7 @@ std::tuple<Tensor, Tensor> equalize(Tensor const& input, bool opencv) {
   int64_t const parts = planes < kManyPlanes ? max(int64_t(1), pixels / kLargePlane) : 1;
 #endif
   Tensor const memory = empty({planes * parts, kLevels}, x, Layout::planar, ScalarType::Int);
-  dispatch_floating_and_cpu_uint8("equalize", x, [&](auto type) {
+  dispatch_floating_and_uint8("equalize", x, [&](auto type) {
     using T = typename decltype(type)::type;
     Equalize<T> const params{flat_planes<T const>(x, layout),
                              flat_planes<T>(y, layout),

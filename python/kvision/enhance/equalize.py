@@ -80,7 +80,7 @@ _equalize = register(
     gradients="input: equalize_backward(output=result0, changed=result1)",
     non_differentiable=(1,),
     native_half=True,
-    bytes="cpu",
+    bytes=True,
     levels=255,
     clamps=True,
 )

@@ -447,31 +447,30 @@ __device__ __forceinline__ void store_pixels(Pixels const& y, int64_t offset, in
     using T = decltype(stored);
     if constexpr (kSupportsStorage<F, T>) {
       constexpr F scale = kScale<T>;
-      auto const rounded = [&](F v) { return round_to<T>(Compute<T>(v * scale)); };
       T* const to = static_cast<T*>(y.data) + offset + i * y.step;
       if (!whole) {
         for_each_element<C, P, Elements>(y, i, pixels, [&](int j, auto distance) {
 #pragma unroll
           for (int k = 0; k < C; ++k)
-            if (k < y.channels) to[k * y.channel_stride + distance] = rounded(c[k][j]);
+            if (k < y.channels) to[k * y.channel_stride + distance] = round_to<T>(Compute<T>(c[k][j] * scale));
         });
       } else if (y.step == 1) {
 #pragma unroll
         for (int k = 0; k < C; ++k) {
           if (k >= y.channels) break;
-          Vector<T, P> vector;
+          Compute<T> v[P];
 #pragma unroll
-          for (int j = 0; j < P; ++j) vector.v[j] = rounded(c[k][j]);
-          store_vector(to + k * y.channel_stride, vector);
+          for (int j = 0; j < P; ++j) v[j] = Compute<T>(c[k][j] * scale);
+          store_vector(to + k * y.channel_stride, v);
         }
       } else {
-        Vector<T, P> vector[C];
+        Compute<T> v[C][P];
 #pragma unroll
         for (int k = 0; k < C; ++k)
 #pragma unroll
-          for (int j = 0; j < P; ++j) vector[(C * j + k) / P].v[(C * j + k) % P] = rounded(c[k][j]);
+          for (int j = 0; j < P; ++j) v[(C * j + k) / P][(C * j + k) % P] = Compute<T>(c[k][j] * scale);
 #pragma unroll
-        for (int k = 0; k < C; ++k) store_vector(to + k * P, vector[k]);
+        for (int k = 0; k < C; ++k) store_vector(to + k * P, v[k]);
       }
     }
   });

@@ -2,6 +2,7 @@
 #pragma once
 
 #include "program.cuh"
+#include "program_bytes.h"
 
 namespace kv::color::cuda {
 namespace {
@@ -69,6 +70,8 @@ __global__ void __launch_bounds__(kThreads) run(__grid_constant__ Program<F> con
 
 template <class F>
 int program(Program<F> const& params, CUstream_st* stream) {
+  if constexpr (sizeof(F) == 4)
+    if (takes_bytes(params)) return program_of_bytes(params, stream);
   Program<F> p = params;
   constexpr int P = kPixelsPerThread<F>;
   set_access<F, P>({&p.x, &p.y}, p.samples);

@@ -176,12 +176,6 @@ KV_HD V scale_saturation(V const& saturation, U const& factor) {
   return clamp_max(clamp_min(saturation * factor, F(0)), F(1));
 }
 
-// The reciprocal is the same for all pixels, so it is hoisted out of their loop.
-template <class V, class U>
-KV_HD V standardize(V const& x, U const& mean, U const& deviation) {
-  return (x - mean) * reciprocal(deviation);
-}
-
 // The logarithm of positive numbers, denormal ones included.
 template <class V>
 KV_HD V log2_of_denormal(V const& x) {

@@ -530,7 +530,8 @@ struct Sample {
       }
       if (around_mean && t == 31 - __clz(int(around_mean))) steps_before_mean = position, mean_parameter = first + 1;
     } else if (t < 32 + kMaxParameters + kMaxStepTensorParameters) {
-      p[t - 32] = t - 32 < program.count ? program.parameter(b, t - 32) : F(0);
+      F const x = t - 32 < program.count ? program.parameter(b, t - 32) : F(0);
+      p[t - 32] = program.inverted >> ((t - 32) % 64) & 1 ? reciprocal(x) : x;
     }
     __syncthreads();
     if (mean_parameter < 0 || (program.measures_mean && !backward)) return;
@@ -553,6 +554,15 @@ bool has_frequent_steps_only(Program<F> const& p) {
   for (int i = 0; i < p.steps; ++i)
     if (!(kFrequentSteps >> int(p.step[i]) & 1)) return false;
   return true;
+}
+// Has the kernels for frequent steps read deviations as their reciprocals, which they need once a block.
+template <class F>
+void invert_deviations(Program<F>& p) {
+  for (int i = 0; i < p.steps; ++i)
+    if (p.step[i] == Step::standardize || p.step[i] == Step::standardize_rgb) {
+      int const half = parameters_of(p.step[i]) / 2;  // means come first
+      p.inverted |= ((uint64_t(1) << half) - 1) << (p.first[i] + half);
+    }
 }
 
 // The sample of block n. A second run takes them in reverse, because the last samples of the first run may still be in

@@ -167,6 +167,7 @@ struct Program {
   int count;             // of all parameters
   F numbers[kMaxParameters];
   int column[kMaxParameters];  // in the tensors, or -1 for the number
+  uint64_t inverted;           // parameters that a kernel reads as their reciprocals, as bits by number
 
   int64_t inner;  // samples of an image
   int tensor_count;

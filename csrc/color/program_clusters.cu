@@ -134,11 +134,13 @@ int launch(void (*kernel)(Params, int), Params const& p, Program<float> const& q
 Program<float> with_access(Program<float> p) {
   set_access<float, P>({&p.x, &p.y}, p.samples);
   p.measures_mean = true;  // no other kernel has
+  invert_deviations(p);
   return p;
 }
 ProgramBackward<float> with_access(ProgramBackward<float> p) {
   set_access<float, P>({&p.forward.x, &p.grad, &p.grad_x}, p.forward.samples);
   p.forward.measures_mean = true;
+  invert_deviations(p.forward);
   return p;
 }
 

@@ -33,6 +33,15 @@ constexpr bool takes_frequent_steps_only() {
     return false;
 }
 
+// The reciprocal of a deviation, which kernels for frequent steps have instead of it.
+template <class P, class U>
+KV_HD U inverse_deviation(U const& x) {
+  if constexpr (takes_frequent_steps_only<P>())
+    return x;
+  else
+    return reciprocal(x);
+}
+
 // Applies a step to all pixels. `pixels.each(f)` calls f(c, p, n) for each pixel, with the step's parameters p, which
 // may carry a derivative, and n, the same parameters as numbers. For steps that do not mix channels
 // `pixels.each_value(f)` calls f(x, i, p, n) for each channel i, with one derivative instead of three. For steps with a
@@ -67,7 +76,7 @@ KV_HD void run_step(Step step, P& pixels) {
   switch (step) {
     KV_VALUES_VJP(scale_shift, scale_shift_vjp(x, g, n[0], n[1], n[2] != 0), clip(x * p[0] + p[1], n[2] != 0))
     KV_VALUES_VJP(contrast, blend_vjp(x, g, n[1], n[0]), blend(x, p[1], p[0]))
-    KV_VALUES_VJP(standardize, g * reciprocal(n[1]), standardize(x, p[0], p[1]))
+    KV_VALUES_VJP(standardize, g * inverse_deviation<P>(n[1]), (x - p[0]) * inverse_deviation<P>(p[1]))
     default:
       break;
   }
@@ -75,7 +84,7 @@ KV_HD void run_step(Step step, P& pixels) {
     switch (step) {
       KV_VALUES_VJP(scale_shift_rgb, scale_shift_vjp(x, g, n[i], n[3 + i], n[6] != 0),
                     clip(x * p[i] + p[3 + i], n[6] != 0))
-      KV_VALUES_VJP(standardize_rgb, g * reciprocal(n[3 + i]), standardize(x, p[i], p[3 + i]))
+      KV_VALUES_VJP(standardize_rgb, g * inverse_deviation<P>(n[3 + i]), (x - p[i]) * inverse_deviation<P>(p[3 + i]))
       KV_PIXELS_VJP(saturation, adjust_saturation_vjp(c, g, n[0]), adjust_saturation(c, p[0]))
       KV_PIXELS_VJP(saturation_gray, saturation_gray_vjp(c, g, n[0]), saturation_gray(c, p[0]))
       KV_PIXELS_VJP(hue, adjust_hue_vjp(c, g, n[0]), adjust_hue(c, p[0]))

@@ -227,7 +227,7 @@ __device__ __forceinline__ void run_color(color::Step step, Pixels& pixels) {
           [](auto& x, int, auto const* p, auto const* n) { x = color::solarize(x, p[0], p[1], n[2] != 0); });
     case Step::standardize_rgb:
       return pixels.each_value(
-          [](auto& x, int i, auto const* p, auto const*) { x = color::standardize(x, p[i], p[3 + i]); });
+          [](auto& x, int i, auto const* p, auto const*) { x = (x - p[i]) * color::reciprocal(p[3 + i]); });
     default:
       return pixels.each_value(
           [](auto& x, int, auto const* p, auto const* n) { x = color::clip(x * p[0] + p[1], n[2] != 0); });

@@ -316,6 +316,8 @@ int launch_warp_rows(typename Source::Params const& params, int64_t samples, CUs
   typename Source::Params p = params;
   color::Program<float>& program = p.program;
   int64_t const height = p.warp.y.height, width = p.warp.y.width;
+  bool const frequent = color::cuda::has_frequent_steps_only(program);
+  if (frequent) color::cuda::invert_deviations(program);
   program.y.access = color::Access::elements;
   if (width % 4 == 0) color::cuda::set_access<float, 4>({&program.y}, p.warp.y.batch);
   if (program.contrast < 0) {
@@ -323,16 +325,14 @@ int launch_warp_rows(typename Source::Params const& params, int64_t samples, CUs
     int64_t const rows = samples * ceil_div(height, 4 * kRows) >= 4 * 132 ? 4 * kRows : kRows;
     int64_t const parts = ceil_div(height, rows);
     size_t const bytes = shared_bytes<false>(width, rows);
-    auto* const kernel = color::cuda::has_frequent_steps_only(program) ? warp_rows<Source, false, true>
-                                                                       : warp_rows<Source, false, false>;
+    auto* const kernel = frequent ? warp_rows<Source, false, true> : warp_rows<Source, false, false>;
     kernel<<<unsigned(samples * parts), kThreads, bytes, stream>>>(p, int(parts), int(rows));
     return cudaGetLastError();
   }
   program.measures_mean = true;  // no other kernel has
   int64_t const rows = rows_in_cluster(height);
   size_t const bytes = shared_bytes<true>(width, rows);
-  auto* const kernel =
-      color::cuda::has_frequent_steps_only(program) ? warp_rows<Source, true, true> : warp_rows<Source, true, false>;
+  auto* const kernel = frequent ? warp_rows<Source, true, true> : warp_rows<Source, true, false>;
   if (cudaError_t const error = cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, int(bytes)))
     return error;
   return launch_clusters(kernel, unsigned(samples * kMaxClusterSize), kThreads, bytes, kMaxClusterSize, stream, p,

@@ -68,6 +68,7 @@ bool takes_clusters(ProgramList<float> const& p, int i) { return takes_clusters(
 int program_list_by_clusters(ProgramList<float> const& params, CUstream_st* stream) {
   ProgramList<float> p = params;
   p.all.measures_mean = true;  // no other kernel has
+  invert_deviations(p.all);
   set_access_of_vectors(p.all.x), set_access_of_vectors(p.all.y);
   bool const plain = p.all.x.access == Access::plain_vectors && p.all.y.access == Access::plain_vectors;
   size_t bytes = 0;

@@ -17,7 +17,7 @@ bool keeps_samples(int64_t height, int64_t width) {
     return min(kMaxShared, size_t(bytes) - 2048);  // what is not dynamic
   }();
   return supports_clusters(warp_rows<BatchSource<float>, true, true>) &&
-         shared_bytes<true>(width, rows_in_cluster(height)) <= most;
+         shared_bytes(kept_floats(width, rows_in_cluster(height)), width, rows_in_cluster(height)) <= most;
 }
 
 template <class T>

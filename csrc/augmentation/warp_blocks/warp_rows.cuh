@@ -1,10 +1,11 @@
 // Warps that map rows to rows, as crops, flips and resizing do, with a program of color steps, on CUDA: of a batch, or
-// of a list of images of different sizes. A block processes rows of a sample, and each of its warps 32 x 4 pixels at a
-// time. A thread first samples a column from global memory. Then it reads four adjacent pixels of a row from shared
-// memory and applies the program to them.
+// of a list of images of different sizes. A block processes rows of a sample. A thread samples and colors four pixels
+// of a column at a time, so that adjacent threads have adjacent pixels. What pairs of pixels a row or a column reads is
+// computed once for each block.
 //
 // Contrast around the mean needs all pixels of a sample before any result: the blocks of a sample are a cluster, keep
-// their pixels in shared memory, and add up the mean. No image is sampled twice.
+// their pixels in shared memory, the last ones of each thread in its local memory, so that four blocks run at once, and
+// add up the mean. No image is sampled twice.
 #pragma once
 
 #include "augmentation/lists/warp_and_color_list.h"
@@ -16,148 +17,185 @@ namespace kv::augmentation::cuda {
 namespace {
 
 using color::cuda::kThreads;
-constexpr int kWarps = kThreads / 32, kColumns = 32, kRows = 4;
-constexpr int kStagedPixels = kColumns * kRows;  // of a warp
-constexpr int kChannels = 3;                     // of which images of one channel use the first
+constexpr int kWarps = kThreads / 32, kRows = 4;     // of the pixels of a thread
+constexpr int kChannels = 3;                         // of which images of one channel use the first
+constexpr int kWarpFloats = 32 * kRows * kChannels;  // of the pixels of a warp
+constexpr int kLocal = 2;                            // turns whose pixels a thread keeps in its local memory
 
-__device__ __forceinline__ float between(float a, float b, float t) { return a + t * (b - a); }
+using Colors = float[kChannels][kRows];
+static_assert(kRows == 4);
 
-// A thread's column of a warp's pixels in shared memory, whose rows are `pitch` apart and whose channels `plane`. There
-// is memory for kRows rows, of which `rows` exist.
-struct Column {
-  float* to;
-  int pitch, plane, rows;
+// What a row or a column of the result reads: two adjacent pixels of the axis, one of which may have weight 0.
+struct alignas(8) AdjacentTaps {
+  static constexpr int kOutside = -0x7fffffff - 1;
+  // Of the first one, in elements; ~offset where the second one comes before it; kOutside where one is out of bounds.
+  int offset;
+  float t;  // the weight of the second one
+
+  AdjacentTaps() = default;
+  __device__ __forceinline__ AdjacentTaps(AxisTaps const& taps, int size, int stride) : t(taps.t) {
+    int const first = taps.first;
+    int second = taps.second;
+    if (second == first) t = 0, second += first + 1 < size ? 1 : -1;
+    bool const exist = unsigned(first) < unsigned(size) && unsigned(second) < unsigned(size);
+    offset = !exist ? kOutside : second > first ? first * stride : ~(first * stride);
+  }
+  // The distance of the second pixel from the first one, where that of adjacent ones is `stride`.
+  __device__ __forceinline__ int to_second(int stride) const { return offset < 0 ? -stride : stride; }
+  __device__ __forceinline__ int first() const { return offset < 0 ? ~offset : offset; }
 };
 
-// Samples a column tap by tap: where some are out of bounds, or where a tap of weight 0, which contributes nothing, may
-// not be finite.
+// Four numbers between pairs of pixels: in each, a + tx (b - a) above and below, and what is ty between them.
+template <class T>
+__device__ __forceinline__ float between(T const (&taps)[4], float tx, float ty, float& poison) {
+  auto const mixed = [](float a, float b, float t) { return a + t * (b - a); };
+  if constexpr (sizeof(T) == 1) {
+    // The bits of a small integer are a float that is 2^-149 times as large. Products bring it to where sums round;
+    // conversions take four times as long. Numbers are rounded to integers by a sum that has no more digits.
+    constexpr float kUp = 0x1p100f, kRest = 0x1p49f, kNoDigits = 0x1.8p23f;
+    float v[4];
+#pragma unroll
+    for (int i = 0; i < 4; ++i) v[i] = __uint_as_float(taps[i]);
+    float const above = __fmaf_rn(tx * kUp, v[1] - v[0], v[0] * kUp);
+    float const below = __fmaf_rn(tx * kUp, v[3] - v[2], v[2] * kUp);
+    return (__fmaf_rn(mixed(above, below, ty), kRest, kNoDigits) - kNoDigits) * (1.f / color::cuda::kScale<T>);
+  } else {
+    float const value = mixed(mixed(read(taps[0]), read(taps[1]), tx), mixed(read(taps[2]), read(taps[3]), tx), ty);
+    poison += value * 0;
+    return read(round_to<T>(value));
+  }
+}
+
+// Samples a column of pixels tap by tap: where some are out of bounds, or where a tap of weight 0, which contributes
+// nothing, may not be finite. Its first pixel is (x, y), and there are rows up to `last`.
 template <class T, class Source>
-__device__ __noinline__ void sample_by_taps(Source const& p, int64_t b, AxisTaps const& column, AxisTaps const* rows,
-                                            Column const& result) {
+__device__ __noinline__ void sample_by_taps(Source const& p, int64_t b, RowMap const& map, int x, int y, int last,
+                                            Colors& result) {
+  AxisTaps const column(p.x_axis, map.at(0, x));
 #pragma unroll 1
-  for (int k = 0; k < p.x.channels; ++k) {
-    float const fill = p.fill_value(b, k);
+  for (int j = 0; j < kRows; ++j) {
+    AxisTaps const row(p.y_axis, map.at(1, min(y + j, last)));
 #pragma unroll 1
-    for (int j = 0; j < result.rows; ++j) {
-      AxisTaps const row = rows[j];
+    for (int k = 0; k < p.x.channels; ++k) {
       float sum = 0;
 #pragma unroll
       for (int i = 0; i < 4; ++i) {
-        int const x = i & 1 ? column.second : column.first, y = i & 2 ? row.second : row.first;
+        int const tap_x = i & 1 ? column.second : column.first, tap_y = i & 2 ? row.second : row.first;
         float const weight = (i & 1 ? column.t : 1 - column.t) * (i & 2 ? row.t : 1 - row.t);
-        bool const exists = unsigned(x) < unsigned(p.x_axis.size) && unsigned(y) < unsigned(p.y_axis.size);
-        if (weight != 0) sum += weight * (exists ? read(p.x.row(b, k, y)[x * p.x.step]) : fill);
+        bool const exists = unsigned(tap_x) < unsigned(p.x_axis.size) && unsigned(tap_y) < unsigned(p.y_axis.size);
+        if (weight != 0) sum += weight * (exists ? read(p.x.row(b, k, tap_y)[tap_x * p.x.step]) : p.fill_value(b, k));
       }
-      result.to[k * result.plane + j * result.pitch] = read(round_to<T>(sum)) * (1.f / color::cuda::kScale<T>);
+      result[k][j] = read(round_to<T>(sum)) * (1.f / color::cuda::kScale<T>);
     }
   }
 }
 
-// Samples a column, in [0, 1]. The source has the members of a geometry::Sample.
-template <class T, class Source>
-__device__ __forceinline__ void sample_column(Source const& p, int64_t b, AxisTaps const& column, AxisTaps const* rows,
-                                              Column const& result) {
-  int const row_stride = int(p.x.row_stride), step = int(p.x.step);  // a plane has less than 2^31 elements
-  auto const is_inside = [](AxisTaps const& taps, int size) {
-    return unsigned(taps.first) < unsigned(size) && unsigned(taps.second) < unsigned(size);
-  };
-  bool inside = is_inside(column, p.x_axis.size);
-  int offsets[kRows][4];
-  float t[kRows];
-#pragma unroll
-  for (int j = 0; j < kRows; ++j) {
-    AxisTaps const row = rows[j < result.rows ? j : 0];
-    inside = inside && is_inside(row, p.y_axis.size);
-    t[j] = row.t;
-#pragma unroll
-    for (int i = 0; i < 4; ++i)
-      offsets[j][i] = (i & 2 ? row.second : row.first) * row_stride + (i & 1 ? column.second : column.first) * step;
-  }
+// Samples a column of pixels that reads pairs in bounds, in [0, 1]. Returns whether all taps are finite. Step 0 serves
+// any image and pairs. Others are the step of the image, 1 in planes and 3 where the three channels of a pixel are
+// adjacent, for pairs whose second pixel comes after the first one.
+template <class T, int C, int Step, class Source>
+__device__ __forceinline__ bool sample_pairs(Source const& p, int64_t b, AdjacentTaps const& column,
+                                             AdjacentTaps const (&rows)[kRows], Colors& c) {
   float poison = 0;  // NaN where a tap is no finite number
-  if (inside) {
+  // A plane has less than 2^31 elements.
+  int const row_stride = int(p.x.row_stride), across = Step ? Step : column.to_second(int(p.x.step));
 #pragma unroll
-    for (int k = 0; k < kChannels; ++k) {
-      if (k >= p.x.channels) break;
-      // Opaque, so that the address of a tap is this and an int, not a sum in 64 bits of its own.
-      size_t plane = __cvta_generic_to_global(p.x.row(b, k, 0));
-      asm("" : "+l"(plane));
-      T const* const from = static_cast<T const*>(__cvta_global_to_generic(plane));
-      float taps[kRows][4];
+  for (int k = 0; k < C; ++k) {
+    // Opaque, so that the address of a tap is this and an int, not a sum in 64 bits of its own.
+    size_t plane = __cvta_generic_to_global(p.x.row(b, Step == 3 ? 0 : k, 0));
+    asm("" : "+l"(plane));
+    T const* const from = static_cast<T const*>(__cvta_global_to_generic(plane)) + (Step == 3 ? k : 0);
+    T taps[kRows][4];
 #pragma unroll
-      for (int j = 0; j < kRows; ++j)
-#pragma unroll
-        for (int i = 0; i < 4; ++i) taps[j][i] = read(from[offsets[j][i]]);
-      float* to = result.to + k * result.plane;
-#pragma unroll
-      for (int j = 0; j < kRows; ++j, to += result.pitch) {
-        auto const& [above, above_right, below, below_right] = taps[j];
-        float const value = between(between(above, above_right, column.t), between(below, below_right, column.t), t[j]);
-        if (sizeof(T) > 1) poison += value * 0;
-        *to = read(round_to<T>(value)) * (1.f / color::cuda::kScale<T>);
-      }
+    for (int j = 0; j < kRows; ++j) {
+      int const offset = Step ? column.offset + rows[j].offset : column.first() + rows[j].first();
+      int const down = Step ? row_stride : rows[j].to_second(row_stride);
+      T const *const above = from + offset, *const below = from + (offset + down);
+      taps[j][0] = above[0], taps[j][1] = above[across], taps[j][2] = below[0], taps[j][3] = below[across];
     }
+#pragma unroll
+    for (int j = 0; j < kRows; ++j) c[k][j] = between(taps[j], column.t, rows[j].t, poison);
   }
-  if (!inside || poison != 0) sample_by_taps<T>(p, b, column, rows, result);
-  for (int k = p.x.channels; k < kChannels; ++k)  // of images of one channel
-    for (int j = 0; j < result.rows; ++j) result.to[k * result.plane + j * result.pitch] = 0;
+  return poison == 0;
 }
 
-// The four pixels of a thread among those of a warp: adjacent ones of a row, or, where rows are no whole vectors, those
-// of a column.
-struct OwnPixels {
-  bool by_column;
-  int x, y, existing;  // of the first pixel; the number of pixels within the result
+// What a block needs for its part of a sample.
+template <class T, class Source>
+struct Sampler {
+  Source const& source;
+  RowMap const& map;
+  int64_t b;
+  int left, top, last;                 // the first column and row of the part, and the last row
+  AdjacentTaps const *columns, *rows;  // of the part, those of rows up to a multiple of kRows
 
-  __device__ __forceinline__ OwnPixels(bool by_column, int left, int top, int width, int rows) : by_column(by_column) {
-    int const lane = threadIdx.x % 32;
-    x = left + (by_column ? lane : 4 * (lane % 8));
-    y = top + (by_column ? 0 : lane / 8);
-    existing = x >= width || y >= rows ? 0 : by_column ? min(4, rows - y) : 4;
-  }
-  // The pixels in shared memory, whose first one is at `at`.
-  __device__ __forceinline__ void load(float const* at, int pitch, int plane, float (&c)[kChannels][4]) const {
+  // Column x and the rows from y on, in the part.
+  __device__ __forceinline__ void operator()(int x, int y, Colors& c) const {
+    AdjacentTaps const column = columns[x];
+    AdjacentTaps of_rows[kRows];
+    auto const* const vectors = reinterpret_cast<Vector<AdjacentTaps, 2> const*>(rows + y);
 #pragma unroll
-    for (int k = 0; k < kChannels; ++k)
-      if (!by_column) {
-        auto const vector = *reinterpret_cast<Vector<float, 4> const*>(at + k * plane);
+    for (int j = 0; j < kRows; ++j) of_rows[j] = vectors[j / 2].v[j % 2];
+    auto const all_of = [&](auto holds) {
+      return holds(column) && holds(of_rows[0]) && holds(of_rows[1]) && holds(of_rows[2]) && holds(of_rows[3]);
+    };
+    int const signs = column.offset | of_rows[0].offset | of_rows[1].offset | of_rows[2].offset | of_rows[3].offset;
+    bool const ascend = __all_sync(__activemask(), signs >= 0) && source.x.channels != 1;
+    int64_t const step = source.x.step;
+    bool sampled = false;
+    if (ascend && step == 1)
+      sampled = sample_pairs<T, kChannels, 1>(source, b, column, of_rows, c);
+    else if (ascend && step == 3 && source.x.channel_stride == 1)
+      sampled = sample_pairs<T, kChannels, 3>(source, b, column, of_rows, c);
+    else if (all_of([](AdjacentTaps const& taps) { return taps.offset != AdjacentTaps::kOutside; }))
+      sampled = source.x.channels == 1 ? sample_pairs<T, 1, 0>(source, b, column, of_rows, c)
+                                       : sample_pairs<T, kChannels, 0>(source, b, column, of_rows, c);
+    if (!sampled) {
+      Colors by_taps;  // of its own, so that `c` stays in registers
+      sample_by_taps<T>(source, b, map, left + x, top + y, last, by_taps);
 #pragma unroll
-        for (int j = 0; j < 4; ++j) c[k][j] = vector.v[j];
-      } else {
+      for (int k = 0; k < kChannels; ++k)
 #pragma unroll
-        for (int j = 0; j < 4; ++j) c[k][j] = at[k * plane + (j < existing ? j : 0) * pitch];
-      }
-  }
-  __device__ __forceinline__ void store(float* at, int pitch, int plane, float const (&c)[kChannels][4]) const {
-#pragma unroll
-    for (int k = 0; k < kChannels; ++k)
-      if (!by_column) {
-        *reinterpret_cast<Vector<float, 4>*>(at + k * plane) = {c[k][0], c[k][1], c[k][2], c[k][3]};
-      } else {
-#pragma unroll
-        for (int j = 0; j < 4; ++j)
-          if (j < existing) at[k * plane + j * pitch] = c[k][j];
-      }
-  }
-  // To the result, in which sample b begins at element `offset`. The first pixel is number i of the sample.
-  __device__ __forceinline__ void store_result(color::Pixels const& y, int64_t offset, int64_t i, int64_t width,
-                                               int64_t pixels, float const (&c)[kChannels][4]) const {
-    if (!by_column) return color::cuda::store_pixels<false>(y, offset, i, pixels, c);
-#pragma unroll
-    for (int j = 0; j < 4; ++j) {
-      float one[kChannels][1];
-      for (int k = 0; k < kChannels; ++k) one[k][0] = c[k][j];
-      if (j < existing) color::cuda::store_pixels<true>(y, offset, i + j * width, pixels, one);
+        for (int j = 0; j < kRows; ++j) c[k][j] = by_taps[k][j];
     }
+#pragma unroll
+    for (int k = 1; k < kChannels; ++k)
+      if (k >= source.x.channels)
+#pragma unroll
+        for (int j = 0; j < kRows; ++j) c[k][j] = 0;
   }
 };
 
+// Stores a column of pixels, the first `existing` of which exist, whose first element is number i of the sample.
+__device__ __forceinline__ void store_column(color::Pixels const& y, int64_t offset, int64_t i, int width, int existing,
+                                             Colors const& c) {
+  dispatch_dtype(y.type, [&](auto stored) {
+    using T = decltype(stored);
+    if constexpr (color::cuda::kSupportsStorage<float, T>) {
+      T* to = static_cast<T*>(y.data) + offset + i * y.step;
+      int const down = width * int(y.step);
+#pragma unroll
+      for (int k = 0; k < kChannels; ++k, to += y.channel_stride) {
+        if (k >= y.channels) break;
+#pragma unroll
+        for (int j = 0; j < kRows; ++j)
+          if (j < existing) {
+            T const value = round_to<T>(c[k][j] * color::cuda::kScale<T>);
+            if constexpr (sizeof(T) == 4)
+              __stcs(to + j * down, value);
+            else
+              to[j * down] = value;
+          }
+      }
+    }
+  });
+}
+
 template <bool FrequentOnly>
-__device__ __forceinline__ void run_steps(color::cuda::Sample<float> const& sample, int begin, int end,
-                                          float (&c)[kChannels][4]) {
+__device__ __forceinline__ void run_steps(color::cuda::Sample<float> const& sample, int begin, int end, Colors& c) {
 #pragma unroll 1
   for (int s = begin; s < end; ++s) {
     auto const entry = sample.order[s];
-    color::cuda::EvaluateStep<float, kChannels, 4, FrequentOnly> values{c, sample.p + entry.first};
+    color::cuda::EvaluateStep<float, kChannels, kRows, FrequentOnly> values{c, sample.p + entry.first};
     color::run_step(entry.step, values);
   }
 }
@@ -190,24 +228,32 @@ struct ListSource {
   __device__ __forceinline__ ListSource const& of(WarpAndColorList<T> const&) const { return *this; }
   __device__ __forceinline__ float fill_value(int64_t b, int k) const { return all->fill_value(b, k); }
 };
-// A sample has `parts` blocks with `part_rows` rows each. Around a mean they are a cluster.
+
+// The part of a sample that a block has, and the shared memory for it.
+struct Parts {
+  int down, across;   // in how many parts a sample is divided
+  int rows, columns;  // of a part
+  int kept;           // floats of pixels in shared memory
+};
+
 template <class Source, bool AroundMean, bool FrequentOnly>
-__global__ void __launch_bounds__(kThreads, AroundMean ? 3 : 4)
-    warp_rows(__grid_constant__ typename Source::Params const p, int parts, int part_rows) {
+__global__ void __launch_bounds__(kThreads, 4)
+    warp_rows(__grid_constant__ typename Source::Params const p, Parts const parts) {
   __shared__ color::cuda::Sample<float> sample;
   __shared__ Source found;
   __shared__ RowMap map;
-  __shared__ float part_sum;
+  __shared__ float warp_sums[kWarps];
   extern __shared__ __align__(16) float pixels[];
-  int const width = int(p.warp.y.width), warp = threadIdx.x / 32, lane = threadIdx.x % 32;
-  unsigned const number = blockIdx.x / unsigned(parts);
+  int const warp = threadIdx.x / 32, lane = threadIdx.x % 32;
+  unsigned const of_sample = unsigned(parts.down * parts.across), number = blockIdx.x / of_sample;
   int64_t const b = p.first_sample() + number;
-  int const part = int(blockIdx.x - number * parts), first_row = part * part_rows;
-  int const rows = max(0, min(int(p.warp.y.height) - first_row, part_rows));
-  // All pixels of the block, or those of a warp.
-  int const pitch = AroundMean ? width : kColumns, plane = AroundMean ? width * part_rows : kStagedPixels;
-  float* const kept = pixels + (AroundMean ? 0 : warp * kChannels * plane);
-  auto* const row_taps = reinterpret_cast<AxisTaps*>(pixels + (AroundMean ? 1 : kWarps) * kChannels * plane);
+  int const part = int(blockIdx.x - number * of_sample);
+  int const part_y = AroundMean ? part : part / parts.across, part_x = AroundMean ? 0 : part - part_y * parts.across;
+  int const top = part_y * parts.rows, left = part_x * parts.columns, width = int(p.warp.y.width);
+  int const rows = max(0, min(int(p.warp.y.height) - top, parts.rows)), columns = min(width - left, parts.columns);
+  int const groups = (rows + kRows - 1) / kRows, count = groups * columns;  // of pixels of a thread
+  auto* const row_taps = reinterpret_cast<AdjacentTaps*>(pixels + parts.kept);
+  AdjacentTaps* const column_taps = row_taps + parts.rows;
 
   auto const& coords = p.warp.coords;
   if (threadIdx.x == kThreads - 1) {  // not the one that prepares most of the program
@@ -216,98 +262,142 @@ __global__ void __launch_bounds__(kThreads, AroundMean ? 3 : 4)
   }
   sample.prepare(p.program, b, false);
   auto const& source = found.of(p);
-  for (int y = threadIdx.x; y < rows; y += kThreads) row_taps[y] = AxisTaps(source.y_axis, map.at(1, first_row + y));
+  for (int i = int(threadIdx.x); i < groups * kRows + columns; i += kThreads) {
+    bool const is_row = i < groups * kRows;
+    geometry::Axis<float> const axis = is_row ? source.y_axis : source.x_axis;
+    int const at = is_row ? top + min(i, rows - 1) : left + i - groups * kRows;
+    int const stride = int(is_row ? source.x.row_stride : source.x.step);
+    (is_row ? row_taps + i : column_taps + (i - groups * kRows))[0] =
+        AdjacentTaps(AxisTaps(axis, map.at(is_row ? 1 : 0, at)), axis.size, stride);
+  }
   __syncthreads();
 
-  bool const by_column = p.program.y.access == color::Access::elements;
   bool const waits = AroundMean && sample.steps_before_mean < sample.length;
+  // Where channels are adjacent, the pixels of a warp are stored by vectors of rows.
+  bool const by_vectors = p.program.y.access != color::Access::elements;
   int64_t const to = p.program.y.offset(b);
-  int const across = (width + kColumns - 1) / kColumns, down = (rows + kRows - 1) / kRows;
-  // Calls take(pixels, those in shared memory) for the tiles of the warp, which begin at (left, top), down the columns.
-  auto const for_each_tile = [&](auto sample_tile, auto take) {
-    int const first = warp * across * down / kWarps, count = (warp + 1) * across * down / kWarps - first;
-    int left = first / max(down, 1) * kColumns, top = first * kRows - left / kColumns * down * kRows;
+  float* const of_warp = pixels + warp * kWarpFloats;  // those that the warp keeps first
+  // Calls take(i, x, y, existing) for the pixels of the thread, the i-th of which begin at (x, y) of the part; all
+  // threads of a warp call it as often.
+  int const turns = max(0, (count - 32 * warp + kThreads - 1) / kThreads);
+  auto const for_each_column = [&](auto take) {
+    int y = int(threadIdx.x) / columns, x = int(threadIdx.x) - y * columns;
+    int const down = kThreads / columns, across = kThreads - down * columns;
 #pragma unroll 1
-    for (int tile = 0; tile < count; ++tile) {
-      float* const at = kept + (AroundMean ? top * pitch + left : 0);
-      sample_tile(left, top, at);
-      OwnPixels const own(by_column, left, top, width, rows);
-      if (own.existing > 0) take(own, at + (own.y - top) * pitch + (own.x - left));
-      top += kRows;
-      if (top >= down * kRows) top = 0, left += kColumns;
+    for (int i = 0; i < turns; ++i) {
+      take(i, x, kRows * y, min(rows - kRows * y, kRows));
+      x += across, y += down;
+      if (x >= columns) x -= columns, ++y;
     }
   };
-  auto const store_result = [&](OwnPixels const& own, float const(&c)[kChannels][4]) {
-    int64_t const i = int64_t(first_row + own.y) * width + own.x;
-    own.store_result(p.program.y, to, i, width, p.program.pixels, c);
+  auto const store = [&](int x, int y, int existing, Colors const& c) {
+    if (!by_vectors) {
+      if (existing > 0) store_column(p.program.y, to, int64_t(top + y) * width + left + x, width, existing, c);
+      return;
+    }
+    __syncwarp();
+#pragma unroll
+    for (int k = 0; k < kChannels; ++k)
+#pragma unroll
+      for (int j = 0; j < kRows; ++j) of_warp[(k * kRows + j) * 32 + lane] = c[k][j];
+    __syncwarp();
+    Colors row;
+#pragma unroll
+    for (int k = 0; k < kChannels; ++k) {
+      auto const vector = *reinterpret_cast<Vector<float, 4> const*>(of_warp + k * kRows * 32 + 4 * lane);
+#pragma unroll
+      for (int j = 0; j < 4; ++j) row[k][j] = vector.v[j];
+    }
+    int const first = lane % 8 * 4, j = lane / 8;
+    int const row_x = __shfl_sync(0xffffffffu, x, first), row_y = __shfl_sync(0xffffffffu, y, first) + j;
+    int64_t const i = int64_t(top + row_y) * width + left + row_x;
+    if (row_y < rows) color::cuda::store_pixels<false>(p.program.y, to, i, p.program.pixels, row);
   };
 
+  Sampler<typename Source::Stored, std::decay_t<decltype(source)>> const sampler{
+      source, map, b, left, top, top + rows - 1, column_taps, row_taps};
   float sum = 0;
-  int sampled_x = -1;
-  AxisTaps column{};
-  for_each_tile(
-      [&](int left, int top, float* at) {
-        __syncwarp();  // before the previous pixels are overwritten
-        int const x = left + lane;
-        if (x != sampled_x) column = AxisTaps(source.x_axis, map.at(0, x));
-        sampled_x = x;
-        if (x < width)
-          sample_column<typename Source::Stored>(source, b, column, row_taps + top,
-                                                 {at + lane, pitch, plane, min(kRows, rows - top)});
-        __syncwarp();
-      },
-      [&](OwnPixels const& own, float* at) {
-        float c[kChannels][4];
-        own.load(at, pitch, plane, c);
-        run_steps<FrequentOnly>(sample, 0, sample.steps_before_mean, c);
-        if (!waits) return store_result(own, c);
-        own.store(at, pitch, plane, c);
+  [[maybe_unused]] alignas(16) Colors local[kLocal];
+  // Calls take(vector of channel k, k) for the pixels that the thread keeps at turn i.
+  [[maybe_unused]] auto const for_each_kept = [&](int i, auto take) {
+    int const at = i - turns + kLocal;
+    auto* const vectors = reinterpret_cast<Vector<float, 4>*>(of_warp + i * kWarps * kWarpFloats + 4 * lane);
 #pragma unroll
-        for (int k = 0; k < kChannels; ++k)
+    for (int k = 0; k < kChannels; ++k)
+      at >= 0 ? take(reinterpret_cast<Vector<float, 4>&>(local[at][k]), k) : take(vectors[k * 32], k);
+  };
+  for_each_column([&](int i, int x, int y, int existing) {
+    Colors c{};
+    if (existing > 0) sampler(x, y, c);
+    run_steps<FrequentOnly>(sample, 0, sample.steps_before_mean, c);
+    if (!waits) store(x, y, existing, c);
+    if constexpr (AroundMean) {
+      if (!waits) return;
 #pragma unroll
-          for (int j = 0; j < 4; ++j)
-            if (j < own.existing) sum += c[k][j] * p.program.gray_weights[k];
-      });
+      for (int k = 0; k < kChannels; ++k)
+#pragma unroll
+        for (int j = 0; j < kRows; ++j) {
+          if (j < existing) sum += c[k][j] * p.program.gray_weights[k];
+        }
+      for_each_kept(i, [&](auto& v, int k) { v = {c[k][0], c[k][1], c[k][2], c[k][3]}; });
+    }
+  });
   if constexpr (AroundMean) {
-    sum = block_sum_to_all(sum, sample.sums);
-    if (threadIdx.x == 0) part_sum = sum;
-    __syncthreads();
+    sum = warp_reduce(sum, Sum());
+    if (lane == 0) warp_sums[warp] = sum;
     cluster_arrive();
     cluster_wait();
-    if (threadIdx.x == 0) {
-      float total = 0;
-#pragma unroll
-      for (int i = 0; i < kMaxClusterSize; ++i)
-        total += __int_as_float(load_of_block(reinterpret_cast<int const*>(&part_sum), unsigned(i)));
-      float const mean = total / float(p.program.mean_pixels);
-      if (waits) sample.p[sample.mean_parameter] = mean;
-      if (part == 0) p.program.means[b] = waits ? mean : 0;
-    }
-    __syncthreads();
+    float total = 0;
+    for (int i = lane; i < kMaxClusterSize * kWarps; i += 32)
+      total +=
+          __int_as_float(load_of_block(reinterpret_cast<int const*>(&warp_sums[i % kWarps]), unsigned(i / kWarps)));
+    total = warp_reduce(total, Sum());
     cluster_arrive();
+    float const mean = total / float(p.program.mean_pixels);
+    if (waits && lane == 0) sample.p[sample.mean_parameter] = mean;  // all warps write the same
+    if (part == 0 && threadIdx.x == 0) p.program.means[b] = waits ? mean : 0;
+    __syncwarp();
     if (waits)
-      for_each_tile([](int, int, float*) {},
-                    [&](OwnPixels const& own, float* at) {
-                      float c[kChannels][4];
-                      own.load(at, pitch, plane, c);
-                      run_steps<FrequentOnly>(sample, sample.steps_before_mean, sample.length, c);
-                      store_result(own, c);
-                    });
-    __syncthreads();
+      for_each_column([&](int i, int x, int y, int existing) {
+        Colors c;
+        for_each_kept(i, [&](auto const& v, int k) {
+#pragma unroll
+          for (int j = 0; j < kRows; ++j) c[k][j] = v.v[j];
+        });
+        run_steps<FrequentOnly>(sample, sample.steps_before_mean, sample.length, c);
+        store(x, y, existing, c);
+      });
     cluster_wait();  // shared memory exists until all blocks have read it
   }
 }
 
-// Shared memory of a block with as many rows.
-template <bool AroundMean>
-size_t shared_bytes(int64_t width, int64_t rows) {
-  int64_t const kept = AroundMean ? width * rows : kWarps * kStagedPixels;
-  return size_t(kept) * kChannels * sizeof(float) + size_t(rows) * sizeof(AxisTaps);
-}
-
-// Rows of each block of a cluster, a multiple of those of a tile.
+// Rows of each block of a cluster, a multiple of those of a thread.
 int64_t rows_in_cluster(int64_t height) {
   return ceil_div(ceil_div(height, int64_t(kMaxClusterSize)), int64_t(kRows)) * kRows;
+}
+
+// The floats of pixels that a block of a cluster keeps in shared memory. Each warp needs some to exchange pixels.
+int64_t kept_floats(int64_t width, int64_t rows) {
+  int64_t const warps = ceil_div(width * (rows / kRows), int64_t(32));
+  return max(warps - kLocal * kWarps, min(warps, int64_t(kWarps))) * kWarpFloats;
+}
+size_t shared_bytes(int64_t kept, int64_t width, int64_t rows) {
+  return size_t(kept) * sizeof(float) + size_t(rows + width) * sizeof(AdjacentTaps);
+}
+
+// Rows of a block that need not wait for others: those for which the last of as many blocks as run at once end first,
+// where what a block prepares takes as long as two turns of its threads.
+int64_t rows_of_block(int64_t samples, int64_t height, int64_t columns) {
+  constexpr int64_t kAtOnce = 4 * 132, kPrepares = 2, kMaxRows = 1024;  // of which the pairs fit shared memory
+  int64_t best = kRows, least = 0;
+  for (int64_t rounds = 1; rounds <= 4; ++rounds) {
+    int64_t const parts = max(int64_t(1), rounds * kAtOnce / samples);
+    int64_t const rows = min(ceil_div(ceil_div(height, parts), int64_t(kRows)) * kRows, kMaxRows);
+    int64_t const cost = ceil_div(samples * ceil_div(height, rows), kAtOnce) *
+                         (kPrepares + ceil_div(columns * (rows / kRows), int64_t(kThreads)));
+    if (least == 0 || cost < least) best = rows, least = cost;
+  }
+  return best;
 }
 
 // Of the samples of a batch, or of those in the table of a list.
@@ -319,24 +409,26 @@ int launch_warp_rows(typename Source::Params const& params, int64_t samples, CUs
   bool const frequent = color::cuda::has_frequent_steps_only(program);
   if (frequent) color::cuda::invert_deviations(program);
   program.y.access = color::Access::elements;
-  if (width % 4 == 0) color::cuda::set_access<float, 4>({&program.y}, p.warp.y.batch);
+  if (width % 4 == 0 && program.y.step != 1) color::cuda::set_access<float, 4>({&program.y}, p.warp.y.batch);
   if (program.contrast < 0) {
-    // More rows share what a block prepares, if there are enough for all multiprocessors.
-    int64_t const rows = samples * ceil_div(height, 4 * kRows) >= 4 * 132 ? 4 * kRows : kRows;
-    int64_t const parts = ceil_div(height, rows);
-    size_t const bytes = shared_bytes<false>(width, rows);
+    constexpr int64_t kMaxColumns = 2048;  // of which the pairs fit shared memory
+    int64_t const across = ceil_div(width, kMaxColumns);
+    int64_t const columns = ceil_div(ceil_div(width, across), int64_t(4)) * 4;
+    int64_t const rows = rows_of_block(samples * across, height, columns), down = ceil_div(height, rows);
+    int64_t const kept = program.y.access == color::Access::elements ? 0 : kWarps * kWarpFloats;
+    Parts const parts{int(down), int(across), int(rows), int(columns), int(kept)};
     auto* const kernel = frequent ? warp_rows<Source, false, true> : warp_rows<Source, false, false>;
-    kernel<<<unsigned(samples * parts), kThreads, bytes, stream>>>(p, int(parts), int(rows));
+    kernel<<<unsigned(samples * down * across), kThreads, shared_bytes(kept, columns, rows), stream>>>(p, parts);
     return cudaGetLastError();
   }
   program.measures_mean = true;  // no other kernel has
-  int64_t const rows = rows_in_cluster(height);
-  size_t const bytes = shared_bytes<true>(width, rows);
+  int64_t const rows = rows_in_cluster(height), kept = kept_floats(width, rows);
+  size_t const bytes = shared_bytes(kept, width, rows);
   auto* const kernel = frequent ? warp_rows<Source, true, true> : warp_rows<Source, true, false>;
   if (cudaError_t const error = cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, int(bytes)))
     return error;
   return launch_clusters(kernel, unsigned(samples * kMaxClusterSize), kThreads, bytes, kMaxClusterSize, stream, p,
-                         kMaxClusterSize, int(rows));
+                         Parts{kMaxClusterSize, 1, int(rows), int(width), int(kept)});
 }
 
 }  // namespace

@@ -340,15 +340,16 @@ class AugmentationSequential(ImageSequential):
         x = self.transform_tensor(image)
         if before is not None:
             check_matrix(self, before, x)
-        call_labels = None
+        call_labels = settings = None
         if len(keys) > 1:
             shape = tuple(x.shape) if isinstance(x, Tensor) else largest_shape(x)
-            call_labels = CallLabels(keys, inputs, self._label_settings, shape, not isinstance(x, Tensor))
+            settings = self._label_settings
+            call_labels = CallLabels(keys, inputs, settings, shape, not isinstance(x, Tensor))
         time = 0 if videos is None else videos.sizes[1]
         y, record = self._execute(x, params, self._context(seed, generator, time, call_labels, source))
         record.size, record.videos = tuple(y.shape[2:]), videos
-        if call_labels is not None:
-            record.labels = LabelRecord(self._label_settings, record.shape, record.size)
+        if settings is not None:
+            record.labels = LabelRecord(settings, record.shape, record.size)
             outputs = record.labels.move(keys, inputs, record.stages)
             for i, (key, value) in enumerate(zip(keys, inputs)):
                 if key == DataKey.INPUT and i != first:  # a second image gets the same

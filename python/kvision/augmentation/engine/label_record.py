@@ -39,10 +39,14 @@ class LabelRecord:
 
     def move(self, keys: Sequence[DataKey], values: Sequence[Any], stages: Chain) -> list[Any]:
         """What belongs to images, after all stages; the images as they are."""
-        moved = list(values)
+        moved, has_others = list(values), False
         for i, key in enumerate(keys):
             if key == DataKey.MASK:
                 moved[i] = self.move_masks(moved[i], stages)
+            elif key != DataKey.INPUT:
+                has_others = True
+        if not has_others:
+            return moved
         kept = self._move_through(keys, moved, stages, self.size, self.settings)
         for i, key in enumerate(keys):
             if key == DataKey.KEYPOINTS and not self._points.get(i):

@@ -87,6 +87,7 @@ __device__ __noinline__ void sample_by_taps(Source const& p, int64_t b, RowMap c
       }
       result[k][j] = read(round_to<T>(sum)) * (1.f / color::cuda::kScale<T>);
     }
+    for (int k = p.x.channels; k < kChannels; ++k) result[k][j] = 0;
   }
 }
 
@@ -116,6 +117,10 @@ __device__ __forceinline__ bool sample_pairs(Source const& p, int64_t b, Adjacen
 #pragma unroll
     for (int j = 0; j < kRows; ++j) c[k][j] = between(taps[j], column.t, rows[j].t, poison);
   }
+#pragma unroll
+  for (int k = C; k < kChannels; ++k)
+#pragma unroll
+    for (int j = 0; j < kRows; ++j) c[k][j] = 0;
   return poison == 0;
 }
 
@@ -157,11 +162,6 @@ struct Sampler {
 #pragma unroll
         for (int j = 0; j < kRows; ++j) c[k][j] = by_taps[k][j];
     }
-#pragma unroll
-    for (int k = 1; k < kChannels; ++k)
-      if (k >= source.x.channels)
-#pragma unroll
-        for (int j = 0; j < kRows; ++j) c[k][j] = 0;
   }
 };
 

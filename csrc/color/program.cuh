@@ -476,6 +476,27 @@ __device__ __forceinline__ void store_pixels(Pixels const& y, int64_t offset, in
   });
 }
 
+// Applies frequent step `number`, one of [Begin, End). Three comparisons find it, which are fewer instructions than a
+// jump by a table.
+template <int Begin, int End, class P>
+__device__ __forceinline__ void run_frequent_step(int number, P& pixels) {
+  constexpr int kMiddle = (Begin + End) / 2;
+  if constexpr (End - Begin == 1)
+    run_step(frequent_step(Begin), pixels);
+  else if (number < kMiddle)
+    run_frequent_step<Begin, kMiddle>(number, pixels);
+  else
+    run_frequent_step<kMiddle, End>(number, pixels);
+}
+// Applies the step of an entry of Sample::order.
+template <class Entry, class P>
+__device__ __forceinline__ void run_entry(Entry const& entry, P& pixels) {
+  if constexpr (takes_frequent_steps_only<P>())
+    run_frequent_step<0, kFrequentStepCount>(entry.frequent, pixels);
+  else
+    run_step(entry.step, pixels);
+}
+
 // --- parameters and steps of a sample --------------------------------------------------------------------------------
 
 // The partial sums of the mean of a sample, of so many pixels.
@@ -491,10 +512,11 @@ __device__ __forceinline__ MeanParts<F> parts_of(Program<F> const& p, int64_t b)
 
 template <class F>
 struct Sample {
-  struct Entry {
+  struct alignas(16) Entry {
     int index;  // of the step in the program
     Step step;
-    int first;  // index of its first parameter
+    int first;     // index of its first parameter
+    int frequent;  // the number of the step among the frequent ones, if it is one
   };
   F p[kMaxParameters + kMaxStepTensorParameters];
   Entry order[kMaxSteps];
@@ -522,7 +544,8 @@ struct Sample {
       unsigned const around_mean = __ballot_sync(kAll, index >= 0 && step == Step::contrast);
       int const position = __popc(present & ((1u << t) - 1)), count = __popc(present);
       int const first = program.first[max(index, 0)];
-      if (index >= 0) order[position] = {index, step, first};
+      int const frequent = __popcll(kFrequentSteps & ((uint64_t(1) << int(step)) - 1));
+      if (index >= 0) order[position] = {index, step, first, frequent};
       if (t == 0) {
         length = count;
         mean = grad_mean = 0;

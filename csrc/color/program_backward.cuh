@@ -66,7 +66,7 @@ __global__ void __launch_bounds__(kThreads, 3) run_backward(__grid_constant__ Pr
         run_step(entry.step, values);
       }
       for (int s = length; s-- > 0;) {
-        auto const [index, step, first] = sample.order[s];
+        auto const [index, step, first, _] = sample.order[s];
         F const* const parameters = sample.p + first;
         if (q.measures_mean && step == Step::contrast) {  // a StepParameterGradient would spill its pixels to memory
 #pragma unroll

@@ -41,7 +41,7 @@ __device__ __forceinline__ void run_vjps(Sample<float> const& sample, int begin,
         for (int j = 0; j < P; ++j) c[k][j] = inputs[s][k][j];
     auto const entry = sample.order[s];
     StepInputGradient<float, 3, P, true> gradient{c, g, sample.p + entry.first};
-    run_step(entry.step, gradient);
+    run_entry(entry, gradient);
   }
 }
 

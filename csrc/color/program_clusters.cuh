@@ -89,7 +89,7 @@ __device__ __forceinline__ void run_steps(Sample<float> const& sample, int begin
   for (int s = begin; s < end; ++s) {
     auto const entry = sample.order[s];
     EvaluateStep<float, 3, P, true> values{c, sample.p + entry.first};
-    run_step(entry.step, values);
+    run_entry(entry, values);
   }
 }
 

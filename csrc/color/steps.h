@@ -24,6 +24,14 @@ constexpr uint64_t kFrequentSteps = uint64_t(1) << int(Step::scale_shift) | uint
                                     uint64_t(1) << int(Step::contrast) | uint64_t(1) << int(Step::scale_shift_rgb) |
                                     uint64_t(1) << int(Step::standardize_rgb) | uint64_t(1) << int(Step::saturation) |
                                     uint64_t(1) << int(Step::saturation_gray) | uint64_t(1) << int(Step::hue);
+constexpr int kFrequentStepCount = 8;
+constexpr Step frequent_step(int i) {
+  int step = 0;
+  for (; !(kFrequentSteps >> step & 1) || i-- > 0; ++step) {
+  }
+  return Step(step);
+}
+static_assert(kFrequentSteps >> (int(frequent_step(kFrequentStepCount - 1)) + 1) == 0);
 // Whether P supports only frequent steps.
 template <class P>
 constexpr bool takes_frequent_steps_only() {

@@ -196,7 +196,7 @@ __device__ __forceinline__ void run_steps(color::cuda::Sample<float> const& samp
   for (int s = begin; s < end; ++s) {
     auto const entry = sample.order[s];
     color::cuda::EvaluateStep<float, kChannels, kRows, FrequentOnly> values{c, sample.p + entry.first};
-    color::run_step(entry.step, values);
+    color::cuda::run_entry(entry, values);
   }
 }
 

@@ -83,10 +83,10 @@ KV_HD void rgb_to_hsv_vjp(V const (&c)[3], V (&g)[3], Scalar<V> eps) {
 
 // The weights of red, green and blue in a hue, before they are clamped to [0, 1]: 1 and more within a sixth of a turn
 // from the channel's hue, 0 and less from two sixths on, linear in between (A. R. Smith's sectors, as one line each).
+// `sector` is the hue in sixths of a turn, from 0 to 6.
 template <class V>
-KV_HD void hue_weights(V (&c)[3], V const& sixths) {
+KV_HD void hue_weights(V (&c)[3], V sector) {
   using F = Scalar<V>;
-  V sector = modulo(sixths, F(6));
   c[0] = absolute(sector - F(3)) - F(1);
   c[1] = F(2) - absolute(sector - F(2));
   if constexpr (kIsDual<V>) sector = select(sector == F(0), constant<V>(F(6)) + sector, sector);
@@ -95,13 +95,15 @@ KV_HD void hue_weights(V (&c)[3], V const& sixths) {
 template <class V>
 KV_HD void hue_to_rgb(V (&c)[3], V const& sixths, V const& v, V const& chroma) {
   using F = Scalar<V>;
-  V const minimum = v - chroma;
-  hue_weights(c, sixths);
+  V const sector = modulo(sixths, F(6));
+  V minimum = v - chroma;
+  if constexpr (!kIsDual<V>) minimum = with_nan_of(sector, minimum);
+  hue_weights(c, sector);
   for (auto& x : c) {
     if constexpr (kIsDual<V>)
       x = nan_min(nan_max(x, constant<V>(F(0))), constant<V>(F(1)));
     else
-      x = clamp_to_unit(x);
+      x = saturate(x);
     x = minimum + chroma * x;
   }
 }
@@ -112,11 +114,13 @@ struct HueToRgbVjp {
   V sixths, v, chroma;
   KV_HD HueToRgbVjp(V const (&g)[3], V const& hue) : v(g[0] + g[1] + g[2]), chroma(-v) {
     using F = Scalar<V>;
+    V const sector = modulo(hue, F(6));
     V part[3];
-    hue_weights(part, hue);
-    for (int i = 0; i < 3; ++i) chroma = chroma + g[i] * clamp_to_unit(part[i]);
+    hue_weights(part, sector);
+    chroma = with_nan_of(sector, chroma);
+    for (int i = 0; i < 3; ++i) chroma = chroma + g[i] * saturate(part[i]);
     // Half a turn later the same weights fall that rise here, and the other way round.
-    V const sector = modulo(hue, F(6)), half = select(sector < F(3), sector, sector - F(3));
+    V const half = select(sector < F(3), sector, sector - F(3));
     V const after = select(half < F(1), g[1], select(half < F(2), -g[0], g[2]));
     V const before = select(half > F(2), g[2], select(half > F(1), -g[0], select(half > F(0), g[1], -g[2])));
     sixths = (after + before) * select(sector < F(3), constant<V>(F(0.5)), constant<V>(F(-0.5)));

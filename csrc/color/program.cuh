@@ -44,6 +44,8 @@ using kv::nan_min;
 // Minimum, maximum and comparisons take twice as long as sums and products, which saturate for free. Saturated, NaN is
 // 0; the minimum makes it NaN again.
 __device__ __forceinline__ float clamp_to_unit(float x) { return nan_min(__saturatef(x), fabsf(x)); }
+__device__ __forceinline__ float saturate(float x) { return __saturatef(x); }
+__device__ __forceinline__ float with_nan_of(float y, float x) { return __fmaf_rn(y, 0.f, x); }
 __device__ __forceinline__ float clamp_to_unit_vjp(float x, float g) {
   float y;
   asm("{ .reg .pred clamped; setp.ne.f32 clamped, %1, %2; selp.f32 %0, 0f00000000, %3, clamped; }"

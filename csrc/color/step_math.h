@@ -165,6 +165,16 @@ KV_HD V clamp_to_unit(V const& x) {
   using F = Scalar<V>;
   return clamp_max(clamp_min(x, F(0)), F(1));
 }
+// The same for several numbers that are NaN together, where NaN may become a number: with_nan_of(y, x) brings it back
+// to x, for any y that is finite or NaN as they are.
+template <class V>
+KV_HD V saturate(V const& x) {
+  return clamp_to_unit(x);
+}
+template <class V>
+KV_HD V with_nan_of(V const&, V const& x) {
+  return x;
+}
 // The gradient of x from that of clamp_to_unit(x).
 template <class V>
 KV_HD V clamp_to_unit_vjp(V const& x, V const& g) {

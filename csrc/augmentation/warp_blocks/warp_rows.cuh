@@ -290,7 +290,7 @@ __global__ void __launch_bounds__(kThreads, 4)
       if (x >= columns) x -= columns, ++y;
     }
   };
-  auto const store = [&](int x, int y, int existing, Colors const& c) {
+  auto const store = [&](int x, int y, int existing, Colors& c) {
     if (!by_vectors) {
       if (existing > 0) store_column(p.program.y, to, int64_t(top + y) * width + left + x, width, existing, c);
       return;
@@ -301,17 +301,17 @@ __global__ void __launch_bounds__(kThreads, 4)
 #pragma unroll
       for (int j = 0; j < kRows; ++j) of_warp[(k * kRows + j) * 32 + lane] = c[k][j];
     __syncwarp();
-    Colors row;
 #pragma unroll
     for (int k = 0; k < kChannels; ++k) {
       auto const vector = *reinterpret_cast<Vector<float, 4> const*>(of_warp + k * kRows * 32 + 4 * lane);
 #pragma unroll
-      for (int j = 0; j < 4; ++j) row[k][j] = vector.v[j];
+      for (int j = 0; j < 4; ++j) c[k][j] = vector.v[j];
     }
     int const first = lane % 8 * 4, j = lane / 8;
     int const row_x = __shfl_sync(0xffffffffu, x, first), row_y = __shfl_sync(0xffffffffu, y, first) + j;
     int64_t const i = int64_t(top + row_y) * width + left + row_x;
-    if (row_y < rows) color::cuda::store_pixels<false>(p.program.y, to, i, p.program.pixels, row);
+    __builtin_assume(i >= 0 && i + kRows <= p.program.pixels);  // rows are whole vectors
+    if (row_y < rows) color::cuda::store_pixels<false>(p.program.y, to, i, p.program.pixels, c);
   };
 
   Sampler<typename Source::Stored, std::decay_t<decltype(source)>> const sampler{

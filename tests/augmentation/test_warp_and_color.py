@@ -279,6 +279,16 @@ def test_joined_keeps_what_is_not_finite(size, device):
     assert torch.equal(y[0, ..., :moved], 0.5 * x[0, :, : size[0], :moved] + 0.25)
 
 
+@pytest.mark.parametrize("size", [(24, 20), (2, 2), (1, 5), (5, 1)])
+@pytest.mark.parametrize("dtype", [torch.float16, torch.float32, torch.uint8])
+def test_joined_flips_are_exact(dtype, size, device):
+    """Moves by whole pixels read the last pixels of rows and columns, which have no next one."""
+    x = (torch.rand(3, 3, *size, device=device) * (255 if dtype == torch.uint8 else 1)).to(dtype)
+    steps = A.RandomHorizontalFlip(p=1.0), A.RandomVerticalFlip(p=1.0), A.RandomBrightness((1.0, 1.0), p=1.0)
+    for images in (x, x.contiguous(memory_format=torch.channels_last)):
+        assert torch.equal(A.ImageSequential(*steps)(images), x.flip(-1, -2))
+
+
 def test_pipeline_takes_three_launches_at_most(device):
     if device.type != "cuda":
         pytest.skip("needs --device cuda")

@@ -30,9 +30,9 @@ CPU_BATCH, GPU_BATCH = 4, 128
 BLOCKS = "a warp sums the pixels of a row of blocks, and shows it"
 GLASS = "two blurs, and a gather by moves that are drawn for each pixel"
 SPATTER = "a blur of drawn noise, distances to outlines, a histogram, a relief and its maximum"
-FOG = "a fractal map in float64, step by step"
+FOG = "a fractal map in float64, step by step, its range and the brightest value"
 REASONS = {
-    "ChromaticAberration": "maps of two lenses a sample",
+    "ChromaticAberration": "maps of three planes are written and read again, and planes sampled one by one",
     "Defocus": "a window of 21 x 21 taps",
     "Downscale": BLOCKS,
     "GlassBlur": GLASS,
@@ -40,8 +40,9 @@ REASONS = {
     "GridDropout": "its holes are drawn and placed by torch",
     "ISONoise": "lightness is measured first; HLS and back, a Poisson quantile and a normal number a pixel",
     "OpticalDistortion": "a map is written and read again",
-    "PiecewiseAffine": "four gathers make a map",
+    "PiecewiseAffine": "a map is written and read again",
     "RandomFog": FOG,
+    "RandomRain": "1000 to 2000 lines a sample, pixel by pixel, make a mask that is read again",
     "RingingOvershoot": "a window of 15 x 15 taps",
     "ShotNoise": "a Poisson quantile a value",
     "MaskDropout": "connected components, and a search for the ranks that are dropped",
@@ -71,6 +72,7 @@ def augmentations() -> Iterator[tuple[str, Callable[..., Any]]]:
             arguments = case.args if case.large is None else case.large
             augment = getattr(A, case.name)(*arguments, **case.kwargs, p=1.0)
             yield case.name, partial(_with_masks, augment) if case.name == "MaskDropout" else augment
+    yield "RandomRain", A.RandomRain(p=1.0)
     for name in A.CommonCorruption.NAMES:
         texture = torch.rand(3, 2 * SIDE, 2 * SIDE) if name == "frost" else None
         yield name, A.CommonCorruption(name, 3, texture)

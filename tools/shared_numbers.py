@@ -23,6 +23,7 @@ MODES = (
     ("ROBUST_LOSS", "RobustLoss", "geometry/optim/robust_losses.h", ""),
     ("MODEL", "Model", "geometry/solvers/minimal.h", "ops::Model"),
     ("CORRESPONDENCE_ERROR", "ErrorKind", "geometry/correspondence_errors.h", "ops::CorrespondenceError"),
+    ("MAP_KIND", "MapKind", "augmentation/distortion/displacement_map.h", ""),
     ("BLOCK_VALUE", "BlockValue", "augmentation/corruption/pixelate.h", ""),
     ("BOX_DECAY", "Decay", "geometry/detection/suppression.h", ""),
     ("BOX_FORMAT", "BoxFormat", "metrics/boxes.h", ""),

@@ -28,53 +28,65 @@ KV_HD F mixed(F mean, F noise, F weight) {
   return weight < F(0.5) ? mean + weight * (noise - mean) : noise - (noise - mean) * (1 - weight);
 }
 
-// A plane, whose elements `load` reads.
-template <class T, class Load>
+// A plane of h rows of w coarse pixels, which `pixel` reads, and of noise, which `noise` does.
+template <class F, class Pixel, class Noise>
 struct FractalPlane {
-  using F = Compute<T>;
-  T const *coarse, *noise;
+  Pixel pixel;
+  Noise noise;
   F weight;
   int64_t h, w;
-  Load load;
 
-  KV_HD F pixel(int64_t y, int64_t x) const { return load(coarse + y * w + x); }
-  KV_HD F mix(F mean, int64_t y, int64_t x) const { return mixed(mean, F(load(noise + y * (2 * w - 1) + x)), weight); }
-  // Of odd coordinates.
-  KV_HD F center(int64_t y, int64_t x) const {
-    int64_t const v = y / 2, u = x / 2;
-    return mix((pixel(v, u) + pixel(v, u + 1) + pixel(v + 1, u) + pixel(v + 1, u + 1)) / 4, y, x);
+  template <class Index>
+  KV_HD F mix(F mean, Index y, Index x) const {
+    return mixed(mean, F(noise(y, x)), weight);
   }
-  KV_HD F at(int64_t y, int64_t x) const {
+  // Of odd coordinates.
+  template <class Index>
+  KV_HD F center(Index y, Index x) const {
+    Index const v = y / 2, u = x / 2;
+    return mix((F(pixel(v, u)) + F(pixel(v, u + 1)) + F(pixel(v + 1, u)) + F(pixel(v + 1, u + 1))) / 4, y, x);
+  }
+  template <class Index>
+  KV_HD F at(Index y, Index x) const {
+    return at(y, x, [this](Index row, Index column) KV_INLINE { return center(row, column); });
+  }
+  // The same, where centers are known.
+  template <class Index, class Center>
+  KV_HD F at(Index y, Index x, Center const& center_at) const {
     bool const odd_row = y % 2, odd_column = x % 2;
-    if (odd_row && odd_column) return center(y, x);
-    int64_t const v = y / 2, u = x / 2;
+    if (odd_row && odd_column) return center_at(y, x);
+    Index const v = y / 2, u = x / 2;
     if (!odd_row && !odd_column) return pixel(v, u);
     F total;
     bool before, after;
     if (odd_row) {
-      before = x > 0, after = x < 2 * w - 2;
-      total = pixel(v, u) + pixel(v + 1, u);
-      if (before) total += center(y, x - 1);
-      if (after) total += center(y, x + 1);
+      before = x > 0, after = x < Index(2 * w - 2);
+      total = F(pixel(v, u)) + F(pixel(v + 1, u));
+      if (before) total += center_at(y, x - 1);
+      if (after) total += center_at(y, x + 1);
     } else {
-      before = y > 0, after = y < 2 * h - 2;
+      before = y > 0, after = y < Index(2 * h - 2);
       total = F(0);
-      if (before) total += center(y - 1, x);
-      if (after) total += center(y + 1, x);
-      total += pixel(v, u) + pixel(v, u + 1);
+      if (before) total += center_at(y - 1, x);
+      if (after) total += center_at(y + 1, x);
+      total += F(pixel(v, u)) + F(pixel(v, u + 1));
     }
-    return mix(total / F(before && after ? 4 : 3), y, x);
+    return mix(before && after ? total / 4 : total / 3, y, x);
   }
 };
+template <class F, class Pixel, class Noise>
+KV_HD FractalPlane<F, Pixel, Noise> fractal_plane(Pixel pixel, Noise noise, F weight, int64_t h, int64_t w) {
+  return {pixel, noise, weight, h, w};
+}
 
+// Dense planes, whose elements `load` reads.
 template <class T, class Load>
-KV_HD FractalPlane<T, Load> fractal_plane(RefineFractal<T> const& p, int64_t plane, Load load) {
-  return {p.coarse + plane * p.h * p.w,
-          p.noise + plane * p.height() * p.width(),
-          p.weights[plane * p.weight_stride],
-          p.h,
-          p.w,
-          load};
+KV_HD auto fractal_plane(RefineFractal<T> const& p, int64_t plane, Load load) {
+  T const *const coarse = p.coarse + plane * p.h * p.w, *const noise = p.noise + plane * p.height() * p.width();
+  int64_t const w = p.w;
+  return fractal_plane([=](int64_t y, int64_t x) KV_INLINE { return load(coarse + y * w + x); },
+                       [=](int64_t y, int64_t x) KV_INLINE { return load(noise + y * (2 * w - 1) + x); },
+                       p.weights[plane * p.weight_stride], p.h, p.w);
 }
 
 }  // namespace kv::contrib

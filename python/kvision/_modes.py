@@ -78,6 +78,9 @@ CORRESPONDENCE_ERROR = {
     "segments": 7,
 }
 CORRESPONDENCE_ERROR_NAMES = tuple(CORRESPONDENCE_ERROR)
+# MapKind in csrc/augmentation/distortion/displacement_map.h
+MAP_KIND = {"lens": 0, "swirl": 1, "cells": 2, "triangles": 3}
+MAP_KIND_NAMES = tuple(MAP_KIND)
 # BlockValue in csrc/augmentation/corruption/pixelate.h
 BLOCK_VALUE = {"mean": 0, "mean_of_whole": 1, "pixel": 2}
 BLOCK_VALUE_NAMES = tuple(BLOCK_VALUE)

@@ -29,6 +29,11 @@ inline constexpr Operator<"apply_operation", Two(Tensor images, Tensor operation
 inline constexpr Operator<"choose_operations", Two(Tensor columns, Tensor table, int64_t count, double top_level)>
     choose_operations{no_gradient};
 
+// --- augmentation/corruption/disk_op.cpp
+
+inline constexpr Operator<"disk_kernels", Tensor(Tensor deviations, Tensor radii, int64_t largest)> disk_kernels{
+    no_gradient};
+
 // --- augmentation/corruption/drops_op.cpp
 
 inline constexpr Operator<"drop_depths", Tensor(Tensor layers, Tensor thresholds)> drop_depths{non_differentiable};
@@ -59,6 +64,20 @@ inline constexpr Operator<"sum_of_moved", Tensor(Tensor images, Tensor moves)> s
 // --- augmentation/corruption/pixelate_op.cpp
 
 inline constexpr Operator<"pixelate", Tensor(Tensor images, Tensor counts, int64_t value)> pixelate{no_gradient};
+
+// --- augmentation/corruption/rain_op.cpp
+
+inline constexpr Operator<"rain_mask", Tensor(Tensor drops, Tensor positions, Ints size, int64_t longest)> rain_mask{
+    non_differentiable};
+
+// --- augmentation/corruption/snow_op.cpp
+
+inline constexpr Operator<"add_snow", Tensor(Tensor images, Tensor flakes, double weight)> add_snow{no_gradient};
+
+// --- augmentation/distortion/displacement_map_op.cpp
+
+inline constexpr Operator<"displacement_map", Tensor(Tensor rows, int64_t kind, Floats numbers, Ints size)>
+    displacement_map{no_gradient};
 
 // --- augmentation/draw_links_op.cpp
 
@@ -134,6 +153,12 @@ inline constexpr Operator<"preimage_extents", Tensor(Tensor quads, Tensor direct
 inline constexpr Operator<"preimage_points",
                           Two(Tensor points, Tensor coordinates, Tensor kinds, Tensor x, Tensor y, int64_t margin)>
     preimage_points{non_differentiable};
+
+// --- augmentation/random_generator/fractal_noise_op.cpp
+
+inline constexpr Operator<"fractal_noise",
+                          Tensor(Tensor roughness, Tensor keys, OptionalTensor seeds, Ints plan, Ints size)>
+    fractal_noise{non_differentiable};
 
 // --- augmentation/transforms_op.cpp
 

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._clamp import clamp
+from kvision.augmentation.corruption.rain import rain_mask
 from kvision.augmentation.engine import Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
 from kvision.augmentation.random_generator.plain import PlainUniformGenerator
@@ -65,25 +66,11 @@ class RandomRain(IntensityAugmentationBase2D, keeps_contract=True):
         longest = max(drawn.drop_height[1], *(abs(n) for n in drawn.drop_width))
         if drawn.drop_height[1] >= height or max(abs(n) for n in drawn.drop_width) >= width:
             raise ShapeError(f"RandomRain: expected images larger than drops, got {tuple(input.shape)}")
-        count, drop_height, drop_width = (
-            params[name].long()[:, None]
-            for name in ("number_of_drops_factor", "drop_height_factor", "drop_width_factor")
-        )
-        # Extents from the first pixel of a drop to its last one; all of a drop is in the image.
-        down, right = drop_height - 1, drop_width - drop_width.sign()
-        steps = torch.maximum(drop_height, drop_width.abs()) - 1
-        at = params["coordinates_factor"]
-        rows, columns = height - down, width - right.abs()
-        first_row = torch.minimum((at[..., 0] * rows).long(), rows - 1)
-        first_column = torch.minimum((at[..., 1] * columns).long(), columns - 1) + (-right).clamp(min=0)
-        falls = torch.arange(at.shape[1], device=input.device) < count
-        wet = at.new_zeros(input.shape[0], height * width, dtype=torch.int32)
-        for step in range(longest):
-            k = steps.clamp(max=step)  # shorter drops repeat their last pixel
-            row = first_row + k * down // steps.clamp(min=1)
-            column = first_column + right.sign() * (k * right.abs() // steps.clamp(min=1))
-            wet.scatter_add_(1, row * width + column, falls.int())
-        return torch.where(wet.view(-1, 1, height, width) > 0, 200 / 255, input)
+        names = ("number_of_drops_factor", "drop_height_factor", "drop_width_factor")
+        drops = torch.stack([params[name].to(input.device, torch.int64) for name in names], 1)
+        positions = params["coordinates_factor"].to(input.device, torch.float32)
+        wet = rain_mask(drops, positions, [height, width], longest)
+        return torch.where(wet.view(torch.bool), 200 / 255, input)
 
 
 class RandomSnow(IntensityAugmentationBase2D, keeps_contract=True):

@@ -11,8 +11,8 @@ from torch import Tensor
 from kvision import _check
 from kvision._clamp import clamp
 from kvision._dtype import compute_dtype
-from kvision._ops import without_autocast_and_tf32
 from kvision.augmentation import ranges
+from kvision.augmentation.corruption.disk import disk_kernels
 from kvision.augmentation.corruption.glass import Moves, glass
 from kvision.augmentation.corruption.moved import sum_of_moved
 from kvision.augmentation.engine import Params
@@ -21,33 +21,6 @@ from kvision.augmentation.random_generator.mapped import MappedGenerator
 from kvision.augmentation.ranges import Numbers
 from kvision.core.exceptions import ValueCheckError
 from kvision.filters.filter2d import filter2d
-
-_WINDOW = 8  # pixels to each side; larger disks have larger windows, and are blurred by five taps, not three
-
-
-@without_autocast_and_tf32
-def disk_kernels(radius: Tensor, alias_blur: Tensor, largest: int) -> Tensor:
-    """Disks (B, K, K) of radii (B,), at most `largest`, whose edges are blurred by Gaussians of deviations (B,).
-
-    The blur sees a window of 8 pixels to each side, or of the radius, which it reflects, as in Albumentations and ImageNet-C: the
-    sum of larger disks is up to 1.01.
-    """
-    reach = largest + 1 if largest < _WINDOW else largest
-    at = torch.arange(-reach, reach + 1, device=radius.device, dtype=radius.dtype)
-    radius, deviation = radius[:, None, None], alias_blur[:, None, None]
-    edge = radius.clamp(min=_WINDOW)
-    disk = (at[:, None] ** 2 + at**2 <= radius**2).to(radius)
-
-    def taps_to(other: Tensor) -> Tensor:
-        distance = (at[:, None] - other).abs()
-        most = torch.where(radius > _WINDOW, 2, 1)  # taps to each side
-        of_all = torch.arange(-2, 3, device=at.device, dtype=at.dtype)
-        total = ((-0.5 * (of_all / deviation) ** 2).exp() * (of_all.abs() <= most)).sum(2, keepdim=True)
-        return (-0.5 * (distance / deviation) ** 2).exp() * (distance <= most) / total
-
-    reflected = taps_to(2 * edge - at) * (at < edge) + taps_to(-2 * edge - at) * (at > -edge)
-    taps = (taps_to(at) + reflected) * (at[:, None].abs() <= edge)
-    return taps @ (disk / disk.sum((1, 2), keepdim=True)) @ taps.mT
 
 
 def mean_of_enlargements(x: Tensor, largest: Tensor, step: Tensor, most: int) -> Tensor:
@@ -107,8 +80,9 @@ class Defocus(IntensityAugmentationBase2D, keeps_contract=True):
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
-        radius, deviation = (params[name].to(input.device, compute_dtype(input)) for name in ("radius", "alias_blur"))
-        return filter2d(input, disk_kernels(radius, deviation, self._largest))
+        deviation = params["alias_blur"].to(input.device, compute_dtype(input))
+        radius = params["radius"].to(input.device, torch.int64)
+        return filter2d(input, disk_kernels(deviation, radius, self._largest))
 
 
 class RingingOvershoot(IntensityAugmentationBase2D, keeps_contract=True):

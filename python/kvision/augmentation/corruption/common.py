@@ -16,12 +16,13 @@ from kvision._constants import constant
 from kvision._dtype import compute_dtype
 from kvision._modes import BLOCK_VALUE
 from kvision.augmentation import maps
-from kvision.augmentation.corruption.blurs import disk_kernels, mean_of_enlargements
+from kvision.augmentation.corruption.blurs import mean_of_enlargements
+from kvision.augmentation.corruption.disk import disk_kernels
 from kvision.augmentation.corruption.glass import Moves, glass, reach_of
-from kvision.augmentation.corruption.layer import behind
 from kvision.augmentation.corruption.moved import sum_of_moved
 from kvision.augmentation.corruption.noises import as_stored, in_units, photons
 from kvision.augmentation.corruption.pixelate import pixelate
+from kvision.augmentation.corruption.snow import add_snow
 from kvision.augmentation.corruption.weather import WINDOW, as_textures, fogged, frosted, spattered
 from kvision.augmentation.engine import Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
@@ -30,7 +31,6 @@ from kvision.augmentation.random_generator.base import RandomGeneratorBase
 from kvision.augmentation.random_generator.mapped import Map, MappedGenerator, NoiseMap
 from kvision.augmentation.random_generator.plasma import PlasmaGenerator
 from kvision.augmentation.warp_and_color import Resampling
-from kvision.color.gray import rgb_to_grayscale
 from kvision.color.hsv import hsv_to_rgb, rgb_to_hsv
 from kvision.core.exceptions import ValueCheckError
 from kvision.enhance.jpeg import jpeg_codec_differentiable
@@ -123,27 +123,35 @@ def _frosted_glass(x: Tensor, noise: PixelNoise, sigma: float, max_delta: int, i
 
 
 @functools.lru_cache
-def _disk(radius: float, alias_blur: float) -> tuple[Any, ...]:
+def _disk(radius: int, alias_blur: float) -> tuple[Any, ...]:
     """The taps (1, K, K) of a disk."""
-    numbers = (torch.tensor([n], dtype=torch.float64, device="cpu") for n in (radius, alias_blur))
-    return tuple(tuple(map(tuple, disk)) for disk in disk_kernels(*numbers, int(radius)).tolist())
+    deviations = torch.tensor([alias_blur], dtype=torch.float64, device="cpu")
+    disks = disk_kernels(deviations, torch.tensor([radius], device="cpu"), radius)
+    return tuple(tuple(map(tuple, disk)) for disk in disks.tolist())
 
 
-def _defocus_blur(x: Tensor, drawn: Params, radius: float, alias_blur: float) -> Tensor:
+def _defocus_blur(x: Tensor, drawn: Params, radius: int, alias_blur: float) -> Tensor:
     return filter2d(x, constant(_disk(radius, alias_blur), x, compute_dtype(x)))
 
 
 def _motion_blur(x: Tensor, drawn: Params, radius: int, sigma: float) -> Tensor:
     """Means along a line that begins at the pixel, with the weights of half a Gaussian; borders are replicated."""
-    (height, width), count = x.shape[-2:], 2 * radius + 1
+    (height, width), own = x.shape[-2:], drawn["angle"].dtype
     angle = drawn["angle"][:, None] * (math.pi / 180)
-    weights = (-0.5 * (torch.arange(count, device=x.device, dtype=angle.dtype) / sigma) ** 2).exp()
-    i = torch.arange(count, device=x.device)
-    down, right = ((i * along - 0.5).ceil() for along in (angle.sin(), angle.cos()))
-    is_inside = (down.abs() < height) & (right.abs() < width)
-    moves = torch.stack([torch.ones_like(right), right, down, is_inside * (weights / weights.sum())], 2)
-    y: Tensor = sum_of_moved(x, moves)
+    steps = constant(tuple((float(i), float(i)) for i in range(2 * radius + 1)), x, own)
+    weights = constant(_half_of_a_gaussian(radius, sigma), x, own)[None, :, None]
+    moves = (steps * torch.stack([angle.cos(), angle.sin()], 2) - 0.5).ceil()  # to the right, and down
+    is_inside = (moves.abs() < constant((width, height), x, own)).all(2, keepdim=True)
+    scales = constant(((1.0,),), x, own)[None].expand(*moves.shape[:2], 1)
+    y: Tensor = sum_of_moved(x, torch.cat([scales, moves, is_inside * weights], 2))
     return y
+
+
+@functools.lru_cache
+def _half_of_a_gaussian(radius: int, sigma: float) -> tuple[float, ...]:
+    """The weights of the pixels 0 to 2 radius, whose sum is 1."""
+    weights = [math.exp(-0.5 * (i / sigma) ** 2) for i in range(2 * radius + 1)]
+    return tuple(weight / math.fsum(weights) for weight in weights)
 
 
 def _zoom_blur(x: Tensor, drawn: Params, count: int, step: float) -> Tensor:
@@ -162,20 +170,18 @@ def _snow(
     sigma: float,
     weight: float,
 ) -> Tensor:
-    height, width = x.shape[-2:]
-    shrink = 1 / zoom
-    row = (
+    (height, width), shrink = x.shape[-2:], 1 / zoom
+    rows = (
         (shrink, 0.0, (1 - shrink) * (width - 1) / 2),
         (0.0, shrink, (1 - shrink) * (height - 1) / 2),
         (0.0, 0.0, 1.0),
     )
-    matrix = torch.stack([maps.vector(x, *numbers) for numbers in row]).expand(len(x), 3, 3)
-    layer = maps.warp(mean + deviation * drawn["noise"], matrix, (height, width), _BORDER, inverse=False)
+    noise = drawn["noise"]
+    matrix = constant((rows,), noise).expand(len(x), 3, 3)
+    layer = maps.warp(torch.add(mean, noise, alpha=deviation), matrix, (height, width), _BORDER, inverse=False)
     flakes = _motion_blur(clamp(torch.where(layer < threshold, 0, layer), 0, 1), drawn, radius, sigma)
-    flakes = (flakes * 255).round() / 255
-    gray = rgb_to_grayscale(x) if x.shape[1] == 3 else x.mean(1, keepdim=True)
-    bright = torch.maximum(x, torch.lerp(gray * 1.5 + 0.5, x, weight))
-    return behind(bright, flakes + flakes.flip(2, 3), 1.0, 0.0, 1.0, 0.0)
+    y: Tensor = add_snow(x, flakes, weight)
+    return y
 
 
 def _frost(x: Tensor, drawn: Params, of_image: float, of_frost: float) -> Tensor:
@@ -294,6 +300,7 @@ CORRUPTIONS: dict[CorruptionName, Corruption] = {
         ),
         NoiseMap(True, _PLANE),
         (-135.0, -45.0),
+        takes_bytes=True,
     ),
     "frost": Corruption(
         _frost,

@@ -54,7 +54,10 @@ def _halves(words: Tensor) -> Tensor:
 
 
 def _backward(needs: Sequence[bool], grad: Tensor, images: Tensor, *args: Any) -> list[Tensor | None]:
-    """Each pixel's gradient is added to that of the pixel which it reads: an image of positions tells where that is."""
+    """Each pixel's gradient is added to that of the pixel which it reads: an image of positions tells where that is.
+
+    On CUDA sums are in any order: sorted ones took 1.95 in place of 0.25 ms (128x3x224x224, H200).
+    """
     batch, channels, height, width = images.shape
     positions = torch.arange(height * width, device=grad.device, dtype=torch.float64).view(1, 1, height, width)
     read: Tensor = read_neighbors(positions.expand(batch, -1, -1, -1), *args)

@@ -46,8 +46,6 @@ class ChromaticAberration(IntensityAugmentationBase2D, keeps_contract=True):
         True
     """
 
-    accepts_bytes = False
-
     def __init__(
         self,
         primary_distortion_range: Numbers = (-0.02, 0.02),
@@ -85,11 +83,9 @@ class ChromaticAberration(IntensityAugmentationBase2D, keeps_contract=True):
         red, more_red, blue, more_blue = (params[name].to(like) for name in names)
         if self.mode != "random":
             blue = blue.abs().copysign(red if self.mode == "green_purple" else -red)
-        first = torch.stack([red, blue], 1).flatten()
-        second = torch.stack([more_red, more_blue], 1).flatten().abs().copysign(first)
-        zero = torch.zeros_like(first)
-        moved = lens_displacements(torch.stack([first, second, zero, zero], 1), *input.shape[-2:])
-        planes = input[:, ::2].flatten(0, 1)[:, None]
+        still = torch.zeros_like(red)  # green
+        first = torch.stack([red, still, blue], 1).flatten()
+        second = torch.stack([more_red, still, more_blue], 1).flatten().abs().copysign(first)
+        moved = lens_displacements(torch.stack([first, second], 1), *input.shape[-2:])
         resampling = Resampling(Resample.get(flags["resample"]).name.lower(), "border", True)
-        red_plane, blue_plane = maps.read_displaced(planes, moved, resampling).unflatten(0, (-1, 2))[:, :, 0].unbind(1)
-        return torch.stack([red_plane, input[:, 1], blue_plane], 1)
+        return maps.read_displaced(input.reshape(-1, 1, *input.shape[-2:]), moved, resampling).view(input.shape)

@@ -1,14 +1,10 @@
-"""What distortions by maps share: how images are read, and coordinates of pixels."""
+"""What distortions by maps share: how images are read."""
 
 from __future__ import annotations
 
 from typing import Any
 
-import torch
-from torch import Tensor
-
 from kvision.augmentation.elastic import MapAugmentation
-from kvision.augmentation.engine import Params
 from kvision.constants import AnyResample, AnySamplePadding, Resample, SamplePadding
 
 
@@ -22,14 +18,3 @@ class DistortionBase(MapAugmentation, keeps_contract=True):
             "padding_mode": SamplePadding.get(padding_mode),
             "align_corners": True,
         }
-
-
-def per_map(params: Params, like: Tensor, *names: str) -> list[Tensor]:
-    """Parameters (B,) in the type and on the device of maps, (B, 1, 1)."""
-    return [params[name].to(like)[:, None, None] for name in names]
-
-
-def from_center(height: int, width: int, like: Tensor) -> tuple[Tensor, Tensor]:
-    """x (1, W) and y (H, 1) of pixels from the center of the image."""
-    y, x = (torch.arange(n, dtype=like.dtype, device=like.device) - (n - 1) / 2 for n in (height, width))
-    return x[None], y[:, None]

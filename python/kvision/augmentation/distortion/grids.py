@@ -9,6 +9,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision.augmentation import ranges
+from kvision.augmentation.distortion.displacement_map import displacement_map
 from kvision.augmentation.distortion.distortion_base import DistortionBase
 from kvision.augmentation.engine import Params
 from kvision.augmentation.random_generator.mapped import MappedGenerator, NoiseMap
@@ -59,23 +60,13 @@ class GridDistortion(DistortionBase, keeps_contract=True):
         self._param_generator = MappedGenerator(maps={"steps": NoiseMap(size=(2, 1, steps))}, op=op)
 
     def displacements(self, shape: tuple[int, ...], params: Params, flags: dict[str, Any], like: Tensor) -> Tensor:
-        learned = self._range.tensor
-        low, high = (self._range.low, self._range.high) if learned is None else learned.to(like).unbind()
-        factors = 1 + low + (high - low) * params["steps"].to(like)[:, :, 0]  # of columns and of rows
-        along_x, along_y = (self._along(f, n) for f, n in zip(factors.unbind(1), (shape[-1], shape[-2])))
-        height, width = shape[-2:]
-        return torch.stack([along_x[:, None].expand(-1, height, -1), along_y[:, :, None].expand(-1, -1, width)], 1)
-
-    def _along(self, factors: Tensor, size: int) -> Tensor:
-        """Displacements (B, size) of pixels along an axis whose cells are changed by factors (B, n)."""
-        count = factors.shape[1]
-        total = factors.sum(1, keepdim=True) if self.normalized else count
-        sides = factors / total  # of what cells show, as fractions of the image
-        first = sides.cumsum(1) - sides
-        at = (torch.arange(size, dtype=factors.dtype, device=factors.device) + 0.5) * (count / size)
-        cell = at.floor().long().clamp(max=count - 1)
-        read = first[:, cell] + sides[:, cell] * (at - cell)
-        return read * size - at * (size / count)
+        learned, steps = self._range.tensor, params["steps"].to(like).flatten(1)  # of columns, then of rows
+        if learned is None:
+            factors = torch.add(1 + self._range.low, steps, alpha=self._range.high - self._range.low)
+        else:
+            low, high = learned.to(like).unbind()
+            factors = 1 + low + (high - low) * steps
+        return displacement_map("cells", factors, shape[-2:], self.normalized)
 
 
 class PiecewiseAffine(DistortionBase, keeps_contract=True):
@@ -130,29 +121,7 @@ class PiecewiseAffine(DistortionBase, keeps_contract=True):
 
     def displacements(self, shape: tuple[int, ...], params: Params, flags: dict[str, Any], like: Tensor) -> Tensor:
         height, width = shape[-2:]
-        unit = 1 if self.absolute_scale else min(height, width)
-        moves = params["nodes"].to(like) * params["scale"].to(like)[:, None, None, None] * (unit / 3)
-        at, corners, place = [], [], []
-        for name, size in (("columns", width), ("rows", height)):
-            count = params[name].to(like)[:, None]
-            nodes = torch.arange(moves.shape[-1 if name == "columns" else -2], dtype=like.dtype, device=like.device)
-            corners.append(nodes * (size - 1) / (count - 1))  # (B, n), beyond the image where there are fewer
-            pixel = torch.arange(size, dtype=like.dtype, device=like.device) * ((count - 1) / max(size - 1, 1))
-            cell = pixel.floor().minimum(count - 2)
-            at.append(cell.long())
-            place.append(pixel - cell)
-        node_x, node_y = corners[0][:, None], corners[1][:, :, None]
-        moved_x = (node_x + moves[:, 0]).clamp(0, width - 1) - node_x
-        moved_y = (node_y + moves[:, 1]).clamp(0, height - 1) - node_y
-        nodes = torch.stack([moved_x, moved_y], 1)  # (B, 2, R, C)
-        u, v = place[0][:, None, None], place[1][:, None, :, None]
-        a, b, c, d = (_nodes_at(nodes, at[1] + down, at[0] + right) for down, right in ((0, 0), (0, 1), (1, 0), (1, 1)))
-        upper = a + (b - a) * u + (c - a) * v  # of the triangle with a, to the left of the diagonal from b to c
-        lower = d + (c - d) * (1 - u) + (b - d) * (1 - v)
-        return torch.where(u + v <= 1, upper, lower)
-
-
-def _nodes_at(nodes: Tensor, rows: Tensor, columns: Tensor) -> Tensor:
-    """Values (B, 2, H, W) of nodes (B, 2, R, C) at rows (B, H) and columns (B, W)."""
-    at = rows[:, :, None] * nodes.shape[3] + columns[:, None]
-    return nodes.flatten(2).gather(2, at.flatten(1)[:, None].expand(-1, 2, -1)).unflatten(2, at.shape[1:])
+        nodes, unit = params["nodes"].to(like), 1 if self.absolute_scale else min(height, width)
+        numbers = (params[name].to(like)[:, None] for name in ("scale", "rows", "columns"))
+        rows = torch.cat([*numbers, nodes.flatten(1)], 1)
+        return displacement_map("triangles", rows, (height, width), *nodes.shape[2:], unit / 3)

@@ -2,31 +2,26 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, Literal, TypeAlias, get_args
 
 import torch
 from torch import Tensor
 
 from kvision import _check
-from kvision.augmentation import maps
-from kvision.augmentation.distortion.distortion_base import DistortionBase, from_center, per_map
+from kvision.augmentation.distortion.displacement_map import displacement_map
+from kvision.augmentation.distortion.distortion_base import DistortionBase
 from kvision.augmentation.engine import Params
 from kvision.augmentation.random_generator.mapped import MappedGenerator
 from kvision.augmentation.ranges import Numbers
 from kvision.constants import AnyResample, AnySamplePadding, Resample, SamplePadding
-from kvision.geometry.calibration.distortion import distort_points
 
 LensMode: TypeAlias = Literal["camera", "fisheye"]
 
 
 def lens_displacements(coefficients: Tensor, height: int, width: int) -> Tensor:
-    """The map (B, 2, H, W) of lenses by Brown and Conrady with coefficients (B, n); the focal lengths are width and height."""
-    like = coefficients
-    pixels = maps.pixel_positions(height, width, like)
-    camera = torch.diag(maps.vector(like, width, height, 1.0))
-    camera[:2, 2] = maps.vector(like, width / 2, height / 2)
-    read = distort_points(pixels.expand(len(like), -1, -1), camera.expand(len(like), 3, 3), like)
-    return (read - pixels).mT.unflatten(2, (height, width))
+    """The map (B, 2, H, W) of lenses by Brown and Conrady with k1 and k2 (B, 2); the focal lengths are width and height."""
+    return displacement_map("lens", coefficients, (height, width), width / 2, height / 2, width, height)
 
 
 class OpticalDistortion(DistortionBase, keeps_contract=True):
@@ -73,10 +68,9 @@ class OpticalDistortion(DistortionBase, keeps_contract=True):
 
     def displacements(self, shape: tuple[int, ...], params: Params, flags: dict[str, Any], like: Tensor) -> Tensor:
         height, width = shape[-2:]
+        k = params["distort"].to(like)
         if self.mode == "camera":
-            k = params["distort"].to(like)[:, None]
-            return lens_displacements(torch.cat([k, k, torch.zeros_like(k).expand(-1, 2)], 1), height, width)
-        (k,) = per_map(params, like, "distort")
-        x, y = from_center(height, width, like)
-        angle_squared = (x * x + y * y) / ((height / 2) ** 2 + (width / 2) ** 2)
-        return torch.stack([x * (k * angle_squared), y * (k * angle_squared)], 1)
+            return lens_displacements(torch.stack([k, k], 1), height, width)
+        focal = math.hypot(height / 2, width / 2)
+        numbers = (width - 1) / 2, (height - 1) / 2, focal, focal
+        return displacement_map("lens", torch.stack([k, torch.zeros_like(k)], 1), (height, width), *numbers)

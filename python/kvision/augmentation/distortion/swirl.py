@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from kvision.augmentation.distortion.distortion_base import DistortionBase, per_map
+from kvision.augmentation.distortion.displacement_map import displacement_map
+from kvision.augmentation.distortion.distortion_base import DistortionBase
 from kvision.augmentation.engine import Params
 from kvision.augmentation.random_generator.mapped import MappedGenerator
 from kvision.augmentation.ranges import Numbers
@@ -64,11 +64,5 @@ class Swirl(DistortionBase, keeps_contract=True):
         )
 
     def displacements(self, shape: tuple[int, ...], params: Params, flags: dict[str, Any], like: Tensor) -> Tensor:
-        height, width = shape[-2:]
-        strength, radius, center_x, center_y = per_map(params, like, "strength", "radius", "center_x", "center_y")
-        x = torch.arange(width, dtype=like.dtype, device=like.device) - (center_x * width - 0.5)
-        y = torch.arange(height, dtype=like.dtype, device=like.device)[:, None] - (center_y * height - 0.5)
-        distance = (x * x + y * y).sqrt()
-        angle = strength * (-5 * math.log(2) / (radius * min(height, width)) * distance).exp()
-        cos, sin = angle.cos(), angle.sin()
-        return torch.stack([x * (cos - 1) - y * sin, x * sin + y * (cos - 1)], 1)
+        names = ("strength", "radius", "center_x", "center_y")
+        return displacement_map("swirl", torch.stack([params[name].to(like) for name in names], 1), shape[-2:])

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from typing import Any
 
-import torch
 from torch import Tensor
 
 from kvision.augmentation.noise import PixelNoise
 from kvision.augmentation.random_generator.base import Shape
+from kvision.augmentation.random_generator.fractal_noise import fractal_noise
 from kvision.augmentation.random_generator.plain import PlainUniformGenerator
 from kvision.augmentation.ranges import Numbers
-from kvision.contrib.diamond_square import diamond_square
 
 
 class PlasmaGenerator(PlainUniformGenerator):
@@ -26,16 +24,5 @@ class PlasmaGenerator(PlainUniformGenerator):
         self._one_channel = one_channel
 
     def pixel_params(self, columns: Tensor, shape: Shape, noise: PixelNoise) -> dict[str, Tensor]:
-        batch, channels = shape[0], 1 if self._one_channel else shape[1]
-        maps = itertools.count()
-
-        def random(size: Sequence[int], device: Any = None, dtype: Any = None) -> Tensor:
-            return noise.uniform((batch, channels, *size[-2:]), next(maps)).reshape(tuple(size))
-
-        if batch == 0:
-            return {"plasma": columns.new_empty(batch, channels, *shape[-2:])}
-        # In float64, and rounded, so that the map does not depend on the device.
-        size = (batch, channels, int(shape[-2]), int(shape[-1]))
-        roughness = columns[:, 0].detach().double()
-        plasma = diamond_square(size, roughness, random_fn=random, device=columns.device, dtype=torch.float64)
-        return {"plasma": plasma.to(columns.dtype)}
+        channels = 1 if self._one_channel else shape[1]
+        return {"plasma": fractal_noise(columns[:, 0], noise, (channels, *shape[-2:]))}

@@ -1,0 +1,53 @@
+// Images whitened by snow, behind flakes and the same flakes turned by half a circle. corruption/snow.py of
+// kvision.augmentation defines them.
+#pragma once
+
+#include "core/isa.h"
+
+namespace kv::augmentation {
+
+template <class T>
+struct AddSnow {
+  using F = Compute<T>;
+  T const* x;
+  T* y;
+  int64_t batch, channels, height, width;
+  int64_t x_strides[4], y_strides[4];  // of sample, channel, row and pixel
+  F const* flakes;                     // (B, height, width)
+  F weight;                            // of images; the rest is bright gray
+  F full_range, scale;                 // 255 for bytes, 1 for floats; its inverse
+
+  KV_HD int64_t pixels() const { return height * width; }
+  // The brightness of pixel i of a sample by flakes, rounded to steps of 1 / 255.
+  KV_HD F snow(int64_t b, int64_t i) const {
+    F const *const own = flakes + b * pixels(), *const turned = own + pixels() - 1;
+    return (rounded(own[i] * 255) + rounded(turned[-i] * 255)) / 255;
+  }
+#if defined(__CUDACC__)
+  static KV_HD float rounded(float x) { return ::rintf(x); }
+  static KV_HD double rounded(double x) { return ::rint(x); }
+#else
+  static KV_HD float rounded(float x) { return __builtin_rintf(x); }
+  static KV_HD double rounded(double x) { return __builtin_rint(x); }
+#endif
+  KV_HD F within(F x) const { return x < 0 ? F(0) : x > 1 ? F(1) : x; }  // NaN stays
+  // The channels of a pixel at `from`, to where `store(c, value)` puts them.
+  template <class Load, class Store>
+  KV_HD void whiten(T const* from, F snow, Load const& load, Store const& store) const {
+    F gray = 0;
+    F const each = 1 / F(channels);
+    for (int c = 0; c < int(channels); ++c) {
+      F const luma = c == 0 ? F(0.299) : c == 1 ? F(0.587) : F(0.114);
+      gray += load(from[c * x_strides[1]]) * scale * (channels == 3 ? luma : each);
+    }
+    F const bright = (1 - weight) * (F(1.5) * gray + F(0.5));
+    for (int c = 0; c < int(channels); ++c) {
+      F const v = load(from[c * x_strides[1]]) * scale, white = weight * v + bright;
+      store(c, full_range * within(within(v >= white ? v : white) + snow));
+    }
+  }
+};
+
+KV_KERNEL(add_snow, AddSnow)
+
+}  // namespace kv::augmentation

@@ -1,0 +1,151 @@
+// Maps of lenses, vortices and grids from the numbers of each sample: where the pixels of a result read an image.
+// distortion/displacement_map.py of kvision.augmentation defines them.
+#pragma once
+
+#include "core/isa.h"
+
+namespace kv::augmentation {
+
+enum class MapKind : int { lens, swirl, cells, triangles };
+constexpr int kMapKinds = 4, kMapNumbers = 4;
+
+// T is float or double.
+template <class T>
+struct DisplacementMap {
+  T const* rows;  // (B, columns): the numbers of a sample
+  T* y;           // (B, 2, height, width)
+  int64_t batch, columns, height, width;
+  MapKind kind;
+  T numbers[kMapNumbers];  // of all samples
+};
+
+KV_KERNEL(displacement_map, DisplacementMap)
+
+template <class F>
+struct Displacement {
+  F x, y;
+};
+
+// A lens with the coefficients k1 and k2 and the center and the focal lengths of all samples.
+template <class F>
+struct LensMap {
+  F k1, k2, center_x, center_y, per_pixel_x, per_pixel_y;
+
+  KV_HD LensMap(DisplacementMap<F> const& p, F const* row)
+      : k1(row[0]),
+        k2(row[1]),
+        center_x(p.numbers[0]),
+        center_y(p.numbers[1]),
+        per_pixel_x(1 / p.numbers[2]),
+        per_pixel_y(1 / p.numbers[3]) {}
+  KV_HD Displacement<F> at(int column, int row) const {
+    F const x = F(column) - center_x, y = F(row) - center_y, u = x * per_pixel_x, v = y * per_pixel_y;
+    F const square = u * u + v * v, more = square * (k1 + square * k2);
+    return {x * more, y * more};
+  }
+};
+
+// 2^x, and the sine and the cosine of an angle, by the C library or CUDA.
+#if defined(__CUDACC__)
+KV_HD float power_of_two(float x) { return ::exp2f(x); }
+KV_HD double power_of_two(double x) { return ::exp2(x); }
+KV_HD void sine_and_cosine(float x, float& sine, float& cosine) { ::sincosf(x, &sine, &cosine); }
+KV_HD void sine_and_cosine(double x, double& sine, double& cosine) { ::sincos(x, &sine, &cosine); }
+#else
+KV_HD float power_of_two(float x) { return __builtin_exp2f(x); }
+KV_HD double power_of_two(double x) { return __builtin_exp2(x); }
+KV_HD void sine_and_cosine(float x, float& s, float& c) { s = __builtin_sinf(x), c = __builtin_cosf(x); }
+KV_HD void sine_and_cosine(double x, double& s, double& c) { s = __builtin_sin(x), c = __builtin_cos(x); }
+#endif
+
+// A vortex of a strength and a radius about a center.
+template <class F>
+struct SwirlMap {
+  F strength, decay, center_x, center_y;
+
+  KV_HD SwirlMap(DisplacementMap<F> const& p, F const* row) : strength(row[0]) {
+    decay = -5 / (row[1] * F(min(p.height, p.width)));
+    center_x = row[2] * F(p.width) - F(0.5), center_y = row[3] * F(p.height) - F(0.5);
+  }
+  KV_HD Displacement<F> at(int column, int row) const {
+    F const x = F(column) - center_x, y = F(row) - center_y;
+    F const angle = strength * power_of_two(decay * sqrt(x * x + y * y));
+    F sine, cosine;
+    sine_and_cosine(angle, sine, cosine);
+    return {x * (cosine - 1) - y * sine, x * sine + y * (cosine - 1)};
+  }
+};
+
+// Cells of a grid whose columns and rows are changed by factors; where `normalized`, these are divided by their mean.
+template <class F>
+struct CellsMap {
+  F const *of_columns, *of_rows;
+  int count, width, height;
+  F total_x, total_y;
+
+  KV_HD CellsMap(DisplacementMap<F> const& p, F const* row)
+      : of_columns(row),
+        of_rows(row + p.columns / 2),
+        count(int(p.columns / 2)),
+        width(int(p.width)),
+        height(int(p.height)),
+        total_x(F(count)),
+        total_y(F(count)) {
+    if (p.numbers[0] == 0) return;
+    total_x = total_y = 0;
+    for (int i = 0; i < count; ++i) total_x += of_columns[i], total_y += of_rows[i];
+  }
+  KV_HD Displacement<F> at(int column, int row) const {
+    return {along(of_columns, total_x, column, width), along(of_rows, total_y, row, height)};
+  }
+  KV_HD F along(F const* factors, F total, int i, int size) const {
+    F const at = (F(i) + F(0.5)) * (F(count) / F(size));
+    int const cell = min(int(at), count - 1);
+    F before = 0;
+    for (int k = 0; k < cell; ++k) before += factors[k];
+    return ((before + factors[cell] * (at - F(cell))) / total - at / F(count)) * F(size);
+  }
+};
+
+// Nodes of a grid that move, within the image; between them maps are affine in triangles. A row is the scale of moves,
+// the numbers of rows and of columns of nodes, and the moves along x and y of as many rows and columns as nodes have at
+// most.
+template <class F>
+struct TrianglesMap {
+  F const* moves;
+  int most_rows, most_columns, rows, columns, width, height;
+  F scale, cell_width, cell_height, per_column, per_row;  // in pixels; cells in a pixel
+
+  KV_HD TrianglesMap(DisplacementMap<F> const& p, F const* row)
+      : moves(row + 3),
+        most_rows(int(p.numbers[0])),
+        most_columns(int(p.numbers[1])),
+        rows(clamp(int(row[1]), 2, most_rows)),
+        columns(clamp(int(row[2]), 2, most_columns)),
+        width(int(p.width)),
+        height(int(p.height)),
+        scale(row[0] * p.numbers[2]) {
+    cell_width = F(width - 1) / F(columns - 1), cell_height = F(height - 1) / F(rows - 1);
+    per_column = F(columns - 1) / F(max(width - 1, 1)), per_row = F(rows - 1) / F(max(height - 1, 1));
+  }
+  // How far a node moves.
+  KV_HD Displacement<F> node(int i, int j) const {
+    F const* const move = moves + i * most_columns + j;
+    F const x = F(j) * cell_width, y = F(i) * cell_height;
+    return {clamp(x + scale * move[0], F(0), F(width - 1)) - x,
+            clamp(y + scale * move[most_rows * most_columns], F(0), F(height - 1)) - y};
+  }
+  KV_HD Displacement<F> at(int column, int row) const {
+    F const x = F(column) * per_column, y = F(row) * per_row;
+    int const j = min(int(x), columns - 2), i = min(int(y), rows - 2);
+    F const u = x - F(j), v = y - F(i);
+    bool const is_upper = u + v <= 1;  // to the left of the diagonal from the upper right corner to the lower left one
+    Displacement<F> const own = is_upper ? node(i, j) : node(i + 1, j + 1), right = node(i, j + 1),
+                          below = node(i + 1, j);
+    F const to_right = is_upper ? u : 1 - v, to_below = is_upper ? v : 1 - u;
+    return {own.x + (right.x - own.x) * to_right + (below.x - own.x) * to_below,
+            own.y + (right.y - own.y) * to_right + (below.y - own.y) * to_below};
+  }
+};
+
+}  // namespace kv::augmentation

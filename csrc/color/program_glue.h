@@ -181,7 +181,10 @@ struct ProgramArguments {
   }
 
   Samples samples(Tensor const& x, bool same_layout) const {
-    int64_t const b = x.size(0), c = x.size(1), n = x.size(2) * x.size(3);
+    return samples(x.size(0), x.size(1), x.size(2) * x.size(3), same_layout);
+  }
+  // Of b images of c planes of n pixels.
+  Samples samples(int64_t b, int64_t c, int64_t n, bool same_layout) const {
 #if defined(KV_CUDA)
     bool const pixels = c == 3 && !by_channel;  // a thread takes three times as many values
 #else

@@ -61,9 +61,7 @@ inline Tensor run_program_on_list(char const* op, Tensors const& images, Layout 
         for (; b < batch && p.count < kMaxListed; ++b) {
           Tensor const &x = rows[size_t(b)], &y = results[size_t(b)];
           int64_t const pixels = x.size(1) * x.size(2);
-          Samples const samples =
-              a.samples(view_of(x, {1, channels, x.size(1), x.size(2)}, {0, 0, 0, 0}), layout == out);
-          bool const as_values = samples.per_value && channels > 1;
+          bool const as_values = channels > 1 && a.samples(1, channels, pixels, layout == out).per_value;
           KV_CHECK(channels * pixels <= INT32_MAX, op, ": expected images of less than 2^31 elements");
           p.listed[p.count] = {x.const_data_ptr(), y.mutable_data_ptr(), int(b),    int(pixels),
                                int(items),         int(parts),           as_values, false};

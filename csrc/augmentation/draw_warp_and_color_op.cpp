@@ -65,8 +65,9 @@ Tensor sizes_of(Tensors const& images, Tensor const& like) {
 }
 
 // The same of images (C, H, W) of different sizes, to which the warp gives one size. The first request draws for these.
-// The last result are heights and widths (B, 2), on the CPU: to ask each image takes Python longer than all else.
-std::tuple<Tensor, Tensor, Tensor, Tensor> draw_list_warp_and_color(Tensors const& list, Tensor const& keys,
+// The last results are heights and widths (B, 2), on the CPU: to ask each image takes Python longer than all else; and
+// the means of contrast, without which the columns stand for them.
+std::tuple<Tensor, Tensor, Tensor, Tensor, Tensor> draw_list_warp_and_color(Tensors const& list, Tensor const& keys,
                                                                     std::optional<Tensor> const& seeds,
                                                                     Tensor const& plan, Tensor const& numbers) {
   constexpr char const* op = "draw_list_warp_and_color";
@@ -86,7 +87,7 @@ std::tuple<Tensor, Tensor, Tensor, Tensor> draw_list_warp_and_color(Tensors cons
   auto const [y, matrix, means] =
       run_pass(images, columns, {}, drawn_matrix, {size.begin(), size.end()}, {pass_plan.begin(), pass_plan.end()},
                {pass_numbers.begin(), pass_numbers.end()});
-  return {y, *matrix, columns, sizes_of(list, plan)};
+  return {y, *matrix, columns, sizes_of(list, plan), means ? *means : columns};
 }
 
 // The same of images that keep their sizes. `linear` (3, N) has the numbers of the draws that are listed, as functions
@@ -134,7 +135,7 @@ KV_OPERATOR(draw_warp_and_color_to_list,
             "(Tensor[] images, Tensor keys, Tensor? seeds, Tensor linear, Tensor plan, Tensor numbers) -> Tensor[]")
 KV_OPERATOR(draw_list_warp_and_color,
             "(Tensor[] images, Tensor keys, Tensor? seeds, Tensor plan, Tensor numbers) -> "
-            "(Tensor, Tensor, Tensor, Tensor)")
+            "(Tensor, Tensor, Tensor, Tensor, Tensor)")
 KV_OPERATOR(draw_warp_and_color,
             "(Tensor image, Tensor keys, Tensor? seeds, Tensor plan, Tensor numbers) -> (Tensor, Tensor, Tensor)")
 

@@ -65,7 +65,7 @@ class ListOperator:
     ) -> None:
         self.name, self.of, self.reference, self._supports = name, of, reference, supports
         self._saves_results, self._non_differentiable = saves_results, non_differentiable
-        self._fake, self._backward, self._nondeterministic = fake, backward, nondeterministic
+        self._fake, self.backward, self._nondeterministic = fake, backward, nondeterministic
         self.unserved = unserved_devices(name)
         self.kernel: Any = None if "cpu" in self.unserved else find_operator("kvision", name).default
         self._call_kernel: Any = kernel_caller(self.kernel)
@@ -142,10 +142,10 @@ class ListOperator:
             results = (saved[end:],) if operator._saves_results else ()
             args = (needed, grads, *results, saved[:count], *saved[count:end], *ctx.plain)
             if ctx.backend is None and not _backend.ask_backend:
-                of_images, *others = operator._backward(*args)
+                of_images, *others = operator.backward(*args)
             else:
                 with backend_of(ctx):
-                    of_images, *others = operator._backward(*args)
+                    of_images, *others = operator.backward(*args)
             of_images = of_images or (None,) * count
             wanted = (g if need else None for g, need in zip(of_images, needs))
             return (None, *wanted, *others, *(None,) * len(ctx.plain))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
@@ -10,10 +10,11 @@ from torch import Tensor, is_grad_enabled
 
 from kvision._hints import look_at_range
 from kvision._ops import FastPath
-from kvision._torch_compat import in_forward_ad
+from kvision._torch_compat import below_autograd, function_caller, in_forward_ad
 from kvision.augmentation.columns import DrawPlan
 from kvision.augmentation.keys import Keys
 from kvision.augmentation.warp_and_color import Pass
+from kvision.augmentation.warp_and_color_list import warp_and_color_list
 from kvision.color.program import _DTYPES
 from kvision.enhance.posterize import SPLIT
 from kvision.geometry.transform.lists.arguments import check_list
@@ -59,13 +60,20 @@ class DrawnPass:
         """The same of images (C, H, W) of different sizes, of which the first draws are, and the sizes (B, 2), on the CPU; None
         where no kernel does it all.
         """
-        x = images[0]
+        x = images[0].detach()
         if not self.has_kernel or not _draw_list_warp_and_color.serves(x) or in_forward_ad():
             return None
-        if is_grad_enabled() and any([image.requires_grad for image in images]):
-            return None
+
+        def call(images: list[Tensor]) -> tuple[Tensor, ...]:
+            results: tuple[Tensor, ...] = self._call(_draw_list_warp_and_color.kernel, images, x, keys)
+            return results
+
         try:
-            return self._call(_draw_list_warp_and_color.kernel, images, x, keys)
+            if is_grad_enabled() and any([image.requires_grad for image in images]):
+                y, matrix, columns, sizes = _call_with_gradients(call, self.image_pass, *images)
+            else:
+                y, matrix, columns, sizes, _ = call(images)
+            return y, matrix, columns, sizes
         except RuntimeError:
             check_list("lists", "images", images)  # which says more
             raise
@@ -98,6 +106,31 @@ class DrawnPass:
             *image_pass.plan,
         ]
         return packed(plan, [*draws.numbers, *image_pass.numbers])
+
+
+class _WithGradients(torch.autograd.Function):
+    """Draws and a pass over a list that makes it a batch, whose gradients are those of the pass with these columns."""
+
+    @staticmethod
+    def forward(ctx: Any, call: Callable[..., tuple[Tensor, ...]], image_pass: Pass, *images: Tensor) -> Any:
+        with below_autograd():
+            y, matrix, columns, sizes, means = call(list(images))
+        ctx.save_for_backward(*images, y, matrix, columns, means)
+        ctx.image_pass = image_pass
+        ctx.mark_non_differentiable(matrix, columns, sizes)
+        return y, matrix, columns, sizes
+
+    @staticmethod
+    def backward(ctx: Any, grad: Tensor, *_: Any) -> Any:
+        *images, y, matrix, columns, means = ctx.saved_tensors
+        arguments = ctx.image_pass.arguments(images[0][None], columns)
+        wanted = (True, False, False)
+        of_images = warp_and_color_list.backward(wanted, [grad], (y, matrix, means), images, *arguments)[0]
+        needs = ctx.needs_input_grad[2:]
+        return None, None, *(own if need else None for own, need in zip(of_images, needs))
+
+
+_call_with_gradients = function_caller(_WithGradients)
 
 
 class DrawnListPass:

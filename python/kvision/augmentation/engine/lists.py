@@ -95,11 +95,13 @@ def _numbers(request: Request | None) -> list[float]:
 
 @dataclass
 class ListWarp(Warp):
-    """The warp of a list; `source` is the call, which has height and width of each image."""
+    """The warp of a list."""
+
+    source: Any  # the ListCall, which has height and width of each image
 
     @property
     def sides(self) -> list[int]:
-        return list(self.source.sides)  # type: ignore[attr-defined]
+        return list(self.source.sides)
 
     def source_size(self) -> Any:
         return None  # of all images
@@ -267,7 +269,7 @@ def execute_list(
     matrix, size = module._matrix(execution), list(own.plan.size)
     batch = module._warp_list(list(images), matrix, size, flags)
     parts = [Applied(module, execution, flags)] if module.removes_boxes else ()
-    warp = ListWarp(matrix, own, size, module.resampling(flags), parts=parts)  # type: ignore[arg-type]
+    warp = ListWarp(matrix, own, size, module.resampling(flags), parts=parts)
     return batch, warp, draws
 
 

@@ -177,7 +177,7 @@ def _execute_list_run(
     drawn = like.new_empty(len(images), 0, dtype=torch.float32) if columns is None else columns
     known = matrix if len(step.geometric) == 1 else None
     executions[0] = own.execution(Columns(drawn, first.span or Span(0, 0, False)), matrix_type(like), known)
-    stage = ListWarp(matrix, own, list(step.size), step.resampling)  # type: ignore[arg-type]
+    stage = ListWarp(matrix, own, list(step.size), step.resampling)
     running = Running(modules, executions, columns, context.has_labels)
     x, more = _run_steps(x, run, plan.steps[1:], running)
     return x, [stage, *more]

@@ -144,18 +144,19 @@ def repeated(call: Callable[[], Any], batches: int) -> None:
         call()
 
 
+def streams_of(device: torch.device) -> Sequence[Any]:
+    """A stream for each thread that decodes, which keeps its memory from one call to the next one; None on the CPU."""
+    return [torch.cuda.Stream() for _ in range(2)] if device.type == "cuda" else [None, None]
+
+
 def ahead(
-    decode: Callable[[], list[Tensor]],
-    use: Callable[[list[Tensor]], Any],
-    device: torch.device,
-    batches: int,
+    decode: Callable[[], list[Tensor]], use: Callable[[list[Tensor]], Any], streams: Sequence[Any], batches: int
 ) -> None:
     """Use batches while two threads decode the next ones, on a stream of each.
 
     A thread waits for the last use of its memory. Tensor.record_stream does it by an event of each image, which takes the host
     longer than the decoder.
     """
-    streams = [torch.cuda.Stream() for _ in range(2)] if device.type == "cuda" else [None, None]
 
     def decoded(number: int, used: Any) -> tuple[list[Tensor], Any]:
         stream = streams[number % 2]
@@ -181,7 +182,7 @@ def ahead(
 
 def of_bytes(setup: Setup) -> Iterator[Figure]:
     """The pipeline and the decoder alone take turns; of many batches, because nothing is decoded while the last one is used."""
-    files, augment = jpegs(setup), augmentation()
+    files, augment, streams = jpegs(setup), augmentation(), streams_of(setup.device)
     for backend in decoding._DECODERS:
         if isinstance(decoding._made(backend), Exception):
             continue
@@ -189,7 +190,7 @@ def of_bytes(setup: Setup) -> Iterator[Figure]:
         def decode(name: str = backend) -> list[Tensor]:
             return K.io.decode(files, setup.device, backend=name)
 
-        calls = [partial(repeated, decode), partial(ahead, decode, augment, setup.device)]
+        calls = [partial(repeated, decode), partial(ahead, decode, augment, streams)]
         names = [f"io.decode by {backend}", f"{backend}, crop, flip, jitter, normalize"]
         if backend in ("torchcodec", "torchvision"):
             calls.append(partial(repeated, decode_jpeg(backend, files, setup.device)))
@@ -305,6 +306,8 @@ TO_LISTS: dict[str, Sequence[Callable[[], nn.Module]]] = {
     "flip": (A.RandomHorizontalFlip,),
     "affine": (partial(A.RandomAffine, 20.0),),
     "jitter, normalize": (partial(A.ColorJitter, *JITTER), partial(A.Normalize, MEAN, STD)),
+    "erasing": (partial(A.RandomErasing, p=1.0),),
+    "speckle": (partial(A.SpeckleNoise, p=1.0),),
     "flip, affine, jitter": (A.RandomHorizontalFlip, partial(A.RandomAffine, 20.0), partial(A.ColorJitter, *JITTER)),
 }
 

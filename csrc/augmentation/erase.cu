@@ -1,12 +1,13 @@
 // Erased parts on CUDA: a block has a tile of all planes of a sample. It marks the erased pixels of the tile as
-// bits, once for all planes, and each thread then has 16 bytes of a row.
+// bits, once for all planes, and each thread then has 16 bytes of a row. A block of a list finds its sample in the
+// table.
 #include "augmentation/erase.h"
 #include "core/launch.cuh"
 
 namespace kv::augmentation::cuda {
 namespace {
 
-constexpr int kEraseThreads = 256, kEraseRows = 8, kEraseColumns = 2048, kEraseWords = kEraseColumns / 32;
+constexpr int kEraseThreads = 256, kEraseWords = kEraseColumns / 32;
 
 // The bits of the columns [begin, end) of a row of the tile.
 __device__ __forceinline__ void mark(uint32_t* words, int begin, int end) {
@@ -47,15 +48,12 @@ __device__ __forceinline__ void mark_tile(EraseGrid<T> const& p, int64_t b, int6
   }
 }
 
-// P elements of a row for each thread. A row of a channels-last image has all channels of its pixels.
-template <class Params, int P>
-__global__ void __launch_bounds__(kEraseThreads)
-    erase_tiles(__grid_constant__ Params const p, unsigned tiles_down, unsigned tiles_across) {
+// Of the tile of sample b that begins at (left, top), P elements of a row for each thread. A row of a channels-last
+// image has all channels of its pixels.
+template <int P, class Params>
+__device__ __forceinline__ void erase_tile(Params const& p, int64_t b, int64_t left, int64_t top, TileBits& erased) {
   using T = typename Params::Stored;
   static_assert(32 % P == 0, "a vector of one channel has the bits of one word");
-  __shared__ TileBits erased;
-  unsigned const tile_x = blockIdx.x % tiles_across, t = blockIdx.x / tiles_across, tile_y = t % tiles_down;
-  int64_t const b = t / tiles_down, top = int64_t(tile_y) * kEraseRows, left = int64_t(tile_x) * kEraseColumns;
   int const rows = int(min(p.x.height - top, int64_t(kEraseRows))),
             columns = int(min(p.x.width - left, int64_t(kEraseColumns)));
   mark_tile(p, b, left, top, columns, rows, erased);
@@ -82,6 +80,14 @@ __global__ void __launch_bounds__(kEraseThreads)
   }
 }
 
+template <class Params, int P>
+__global__ void __launch_bounds__(kEraseThreads)
+    erase_tiles(__grid_constant__ Params const p, unsigned tiles_down, unsigned tiles_across) {
+  __shared__ TileBits erased;
+  unsigned const tile_x = blockIdx.x % tiles_across, t = blockIdx.x / tiles_across, tile_y = t % tiles_down;
+  erase_tile<P>(p, t / tiles_down, int64_t(tile_x) * kEraseColumns, int64_t(tile_y) * kEraseRows, erased);
+}
+
 template <int P, class Params>
 int launch_tiles(Params const& p, CUstream_st* stream) {
   unsigned const down = unsigned(ceil_div(p.x.height, kEraseRows)),
@@ -92,7 +98,7 @@ int launch_tiles(Params const& p, CUstream_st* stream) {
 
 // Whether rows are whole vectors of P elements.
 template <int P, class T>
-bool has_whole_vectors(Planes<T> const& p) {
+KV_HD bool has_whole_vectors(Planes<T> const& p) {
   constexpr int64_t bytes = P * sizeof(T), size = sizeof(T);
   return reinterpret_cast<uintptr_t>(p.data) % bytes == 0 && p.row_size() % P == 0 &&
          p.row_stride * size % bytes == 0 && p.outer_stride * size % bytes == 0 && p.inner_stride * size % bytes == 0;
@@ -103,6 +109,20 @@ int launch_erase(Params const& p, CUstream_st* stream) {
   constexpr int P = 16 / sizeof(typename Params::Stored);
   return has_whole_vectors<P>(p.x) && has_whole_vectors<P>(p.y) ? launch_tiles<P>(p, stream)
                                                                 : launch_tiles<1>(p, stream);
+}
+
+template <class T>
+__global__ void __launch_bounds__(kEraseThreads) erase_list(__grid_constant__ EraseRectanglesList<T> const p) {
+  __shared__ TileBits erased;
+  int const b = p.list.sample_of(int(blockIdx.x)), tile = int(blockIdx.x) - p.list.first[b];
+  EraseRectangles<T> const one = p.sample(b);
+  int const across = int(ceil_div(one.x.width, kEraseColumns));
+  int64_t const left = int64_t(tile % across) * kEraseColumns, top = int64_t(tile / across) * kEraseRows;
+  constexpr int P = 16 / sizeof(T);
+  if (has_whole_vectors<P>(one.x) && has_whole_vectors<P>(one.y))
+    erase_tile<P>(one, 0, left, top, erased);
+  else
+    erase_tile<1>(one, 0, left, top, erased);
 }
 
 }  // namespace
@@ -116,7 +136,15 @@ int erase_grid(EraseGrid<T> const& p, CUstream_st* stream) {
   return launch_erase(p, stream);
 }
 
+template <class T>
+int erase_rectangles_list(EraseRectanglesList<T> const& p, CUstream_st* stream) {
+  static_assert(sizeof(EraseRectanglesList<T>) <= 32764, "more than a kernel's parameters");
+  erase_list<T><<<unsigned(p.list.items), kEraseThreads, 0, stream>>>(p);
+  return cudaGetLastError();
+}
+
 KV_INSTANTIATE_WITH_BYTES(erase_rectangles, EraseRectangles)
 KV_INSTANTIATE_WITH_BYTES(erase_grid, EraseGrid)
+KV_INSTANTIATE_WITH_BYTES(erase_rectangles_list, EraseRectanglesList)
 
 }  // namespace kv::augmentation::cuda

@@ -2,9 +2,9 @@
 // numbers, or the lines of grids.
 #pragma once
 
+#include "core/image_list.h"
 #include "core/isa.h"
 #include "core/trigonometry.h"
-#include "core/view.h"
 
 namespace kv::augmentation {
 
@@ -30,6 +30,11 @@ struct EraseRectangles : Erase<T> {
   int64_t num_boxes, box_stride;
 
   KV_HD float const* box(int64_t b, int64_t i) const { return boxes + b * box_stride + 4 * i; }
+  // Leaves samples out at the front; images are not among what it changes.
+  KV_HD void skip(int64_t count) {
+    this->values += count * this->value_stride;
+    boxes += count * box_stride;
+  }
 };
 
 constexpr int kGridNumbers = 5;
@@ -41,6 +46,28 @@ struct EraseGrid : Erase<T> {
 
 KV_KERNEL(erase_rectangles, EraseRectangles)
 KV_KERNEL(erase_grid, EraseGrid)
+
+// The same of images of different sizes: `all` is what the samples of the table have in common.
+template <class T>
+struct EraseRectanglesList {
+  EraseRectangles<T> all;
+  ListedSamples list;
+  int channels;
+
+  // A sample as a batch of one.
+  KV_HD EraseRectangles<T> sample(int b) const {
+    EraseRectangles<T> one = all;
+    one.skip(b);
+    one.samples = 1;
+    one.x = planes_of(images_of<T>(list.images[b], channels), list.interleaved);
+    one.y = planes_of(images_of<T>(list.results[b], channels, list.interleaved), list.interleaved);
+    return one;
+  }
+};
+
+// On the CPU an item is some rows of all planes, on CUDA a tile.
+KV_KERNEL(erase_rectangles_list, EraseRectanglesList)
+constexpr int kEraseRows = 8, kEraseColumns = 2048;
 
 // The pixels [begin, end) of a side that are erased. NaN erases none.
 struct ErasedRange {

@@ -3,6 +3,7 @@
 
 #include "augmentation/erase.h"
 #include "core/lanes.h"
+#include "geometry/transform/lists/list_items.h"
 
 namespace kv::augmentation::KV_ISA {
 
@@ -49,7 +50,16 @@ void erase_grid(EraseGrid<T> const& p, int64_t begin, int64_t end) {
   });
 }
 
+template <class T>
+void erase_rectangles_list(EraseRectanglesList<T> const& p, int64_t begin, int64_t end) {
+  geometry::KV_ISA::for_each_sample(p.list, begin, end, [&](int b, int64_t first, int64_t last) {
+    EraseRectangles<T> const one = p.sample(b);
+    KV_ISA::erase_rectangles(one, kEraseRows * first, min(kEraseRows * last, one.x.rows()));
+  });
+}
+
 KV_INSTANTIATE_WITH_BYTES(erase_rectangles, EraseRectangles)
 KV_INSTANTIATE_WITH_BYTES(erase_grid, EraseGrid)
+KV_INSTANTIATE_WITH_BYTES(erase_rectangles_list, EraseRectanglesList)
 
 }  // namespace kv::augmentation::KV_ISA

@@ -1,64 +1,124 @@
 // Erased rectangles and grids: schemas and entries, for CPU and CUDA.
 #include "augmentation/erase.h"
-#include "glue/glue.h"
+#include "geometry/transform/lists/list_glue.h"
 
 namespace kv::augmentation {
 namespace {
 
-// Images (B, C, H, W); parts (B or 1, ...) float32; values (B, C), or (B, 1) for all channels, of the type that is
-// computed in. run(x, y, erase) gets the parameters that all parts have.
-template <class Run>
-Tensor erase(char const* op, Tensor const& images, Tensor const& parts, bool are_parts, char const* expected,
-             Tensor const& values, Run run) {
-  check_images(op, "images", images);
-  int64_t const batch = images.size(0), channels = images.size(1);
-  auto const fits = [&](Tensor const& t, ScalarType type) {
-    return (t.size(0) == batch || t.size(0) == 1) && t.scalar_type() == type && t.device() == images.device();
-  };
-  KV_CHECK(are_parts && fits(parts, ScalarType::Float), op, ": expected float32 ", expected,
-           " on the device of images");
-  KV_CHECK(
-      values.dim() == 2 && fits(values, compute_dtype(images)) && (values.size(1) == channels || values.size(1) == 1),
-      op, ": expected values of shape (B, C) or (B, 1), of the type that is computed in, on the device of images");
-  Layout const layout = layout_of(images);
-  Tensor const x = as_layout(images, layout), y = empty_like(x, layout);
-  dispatch_floating_and_uint8(op, x, [&]<class T>(Type<T>) {
-    run(x, Erase<T>{planes<T const>(x, layout), planes<T>(y, layout), data_ptr<Compute<T> const>(values), batch,
-                    layout == Layout::channels_last ? 1 : channels, values.size(0) > 1 ? values.stride(0) : 0,
-                    values.size(1) > 1 ? values.stride(1) : 0});
-  });
-  return y;
+// Images (B, C, H, W), or what stands for a list; parts (B or 1, ...) float32; values (B, C), or (B, 1) for all
+// channels, of the type that is computed in.
+struct EraseArguments {
+  char const* op;
+  Tensor const &images, &parts, &values;
+
+  void check(bool are_parts, char const* expected) const {
+    check_images(op, "images", images);
+    int64_t const batch = images.size(0), channels = images.size(1);
+    auto const fits = [&](Tensor const& t, ScalarType type) {
+      return (t.size(0) == batch || t.size(0) == 1) && t.scalar_type() == type && t.device() == images.device();
+    };
+    KV_CHECK(are_parts && fits(parts, ScalarType::Float), op, ": expected float32 ", expected,
+             " on the device of images");
+    KV_CHECK(
+        values.dim() == 2 && fits(values, compute_dtype(images)) && (values.size(1) == channels || values.size(1) == 1),
+        op, ": expected values of shape (B, C) or (B, 1), of the type that is computed in, on the device of images");
+  }
+  void check_boxes() const { check(parts.dim() == 3 && parts.size(2) == 4, "boxes of shape (B, N, 4)"); }
+
+  // All but the images and the parts.
+  template <class T>
+  Erase<T> params(Layout layout) const {
+    Erase<T> p{};
+    p.values = data_ptr<Compute<T> const>(values);
+    p.samples = images.size(0);
+    p.planes_per_sample = layout == Layout::channels_last ? 1 : images.size(1);
+    p.value_stride = values.size(0) > 1 ? values.stride(0) : 0;
+    p.channel_stride = values.size(1) > 1 ? values.stride(1) : 0;
+    return p;
+  }
+  template <class T>
+  EraseRectangles<T> rectangles(Layout layout, Tensor const& boxes) const {
+    return {params<T>(layout), data_ptr<float const>(boxes), boxes.size(1), boxes.size(0) > 1 ? boxes.stride(0) : 0};
+  }
+};
+
+// Boxes (B, N, 4). Columns of drawn parameters are read where they are.
+Tensor readable_boxes(Tensor const& boxes) {
+  return boxes.stride(1) == 4 && boxes.stride(2) == 1 ? boxes : dense(boxes);
 }
 
-// Boxes (B, N, 4).
+// run(type, layout, x, y) calls the kernel.
+template <class Run>
+Tensor erase(EraseArguments const& a, Run run) {
+  Layout const layout = layout_of(a.images);
+  Tensor const x = as_layout(a.images, layout), y = empty_like(x, layout);
+  dispatch_floating_and_uint8(a.op, x, [&](auto type) { run(type, layout, x, y); });
+  return y;
+}
+template <class T>
+void set_images(Erase<T>& p, Tensor const& x, Tensor const& y, Layout layout) {
+  p.x = planes<T const>(x, layout), p.y = planes<T>(y, layout);
+}
+
 Tensor erase_rectangles(Tensor const& images, Tensor const& boxes, Tensor const& values) {
-  bool const are_boxes = boxes.dim() == 3 && boxes.size(2) == 4;
-  // Columns of drawn parameters are read where they are.
-  Tensor const rectangles = !are_boxes || (boxes.stride(1) == 4 && boxes.stride(2) == 1) ? boxes : dense(boxes);
-  return erase("erase_rectangles", images, boxes, are_boxes, "boxes of shape (B, N, 4)", values,
-               [&]<class T>(Tensor const& x, Erase<T> const& erase) {
-                 EraseRectangles<T> const params{erase, data_ptr<float const>(rectangles), boxes.size(1),
-                                                 boxes.size(0) > 1 ? rectangles.stride(0) : 0};
-                 KV_RUN(erase_rectangles, x, params, x.numel() ? params.x.rows() : 0, params.x.row_size());
-               });
+  EraseArguments const a{"erase_rectangles", images, boxes, values};
+  a.check_boxes();
+  Tensor const own = readable_boxes(boxes);
+  return erase(a, [&]<class T>(Type<T>, Layout layout, Tensor const& x, Tensor const& y) {
+    EraseRectangles<T> params = a.rectangles<T>(layout, own);
+    set_images(params, x, y, layout);
+    KV_RUN(erase_rectangles, x, params, x.numel() ? params.x.rows() : 0, params.x.row_size());
+  });
 }
 
 // Grids (B, 5): the width of lines, the angle, offsets along x and y, the number of cells.
 Tensor erase_grid(Tensor const& images, Tensor const& grids, Tensor const& values) {
-  bool const are_grids = grids.dim() == 2 && grids.size(1) == kGridNumbers;
-  Tensor const own = are_grids ? dense(grids) : grids;
-  return erase("erase_grid", images, grids, are_grids, "grids of shape (B, 5)", values,
-               [&]<class T>(Tensor const& x, Erase<T> const& erase) {
-                 EraseGrid<T> const params{erase, data_ptr<float const>(own), own.size(0) > 1 ? own.stride(0) : 0};
-                 KV_CHECK(params.x.width <= INT32_MAX / 4 && params.x.height <= INT32_MAX / 4, "erase_grid",
-                          ": expected smaller images");
-                 KV_RUN(erase_grid, x, params, x.numel() ? params.x.rows() : 0, 8 * params.x.row_size());
-               });
+  EraseArguments const a{"erase_grid", images, grids, values};
+  a.check(grids.dim() == 2 && grids.size(1) == kGridNumbers, "grids of shape (B, 5)");
+  Tensor const own = dense(grids);
+  return erase(a, [&]<class T>(Type<T>, Layout layout, Tensor const& x, Tensor const& y) {
+    EraseGrid<T> params{a.params<T>(layout), data_ptr<float const>(own), own.size(0) > 1 ? own.stride(0) : 0};
+    set_images(params, x, y, layout);
+    KV_CHECK(params.x.width <= INT32_MAX / 4 && params.x.height <= INT32_MAX / 4, a.op, ": expected smaller images");
+    KV_RUN(erase_grid, x, params, x.numel() ? params.x.rows() : 0, 8 * params.x.row_size());
+  });
+}
+
+// Images (C, H, W) of different sizes, to results of these.
+Tensors erase_rectangles_list(Tensors const& images, Tensor const& boxes, Tensor const& values) {
+  geometry::KeptSizes const kept("erase_rectangles_list", images);
+  Tensor const& like = kept.largest;
+  EraseArguments const a{kept.op, like, boxes, values};
+  a.check_boxes();
+  Tensor const own = readable_boxes(boxes);
+  Tensors const rows = geometry::in_layout(images, kept.layout);
+  int64_t const channels = like.size(1), planes = kept.interleaved() ? 1 : channels;
+  auto const items_of = [&](geometry::Size size) {
+#if defined(KV_CUDA)
+    return ceil_div(size.height, kEraseRows) * ceil_div(size.width, kEraseColumns);
+#else
+    return ceil_div(planes * size.height, kEraseRows);
+#endif
+  };
+  dispatch_floating_and_uint8(a.op, like, [&]<class T>(Type<T>) {
+    EraseRectanglesList<T> p;
+    EraseRectangles<T> const all = a.rectangles<T>(kept.layout, own);
+    p.channels = int(channels);
+    kept.for_each_table(p.list, rows, items_of, [&](size_t first) {
+      p.all = all;
+      p.all.skip(int64_t(first));
+      [[maybe_unused]] int64_t const cost = kEraseRows * like.size(3) * channels / planes;
+      KV_RUN(erase_rectangles_list, like, p, p.list.items, cost);
+    });
+  });
+  return kept.results;
 }
 
 }  // namespace
 
 KV_OPERATOR(erase_rectangles, "(Tensor images, Tensor boxes, Tensor values) -> Tensor")
 KV_OPERATOR(erase_grid, "(Tensor images, Tensor grids, Tensor values) -> Tensor")
+// The same of images (C, H, W) of different sizes, as a list.
+KV_OPERATOR(erase_rectangles_list, "(Tensor[] images, Tensor boxes, Tensor values) -> Tensor[]")
 
 }  // namespace kv::augmentation

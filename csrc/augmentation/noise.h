@@ -4,6 +4,7 @@
 #pragma once
 
 #include "augmentation/draws.h"
+#include "core/image_list.h"
 #include "core/normal.h"
 
 namespace kv::augmentation {
@@ -33,12 +34,20 @@ struct PixelNoise {
   int64_t key;           // or its index, where the keys are on the device
   float const* uniform;  // of the elements of x, as they lie, in place of the words of photons; or null
   uint32_t position, draw;
+  int64_t first_sample;  // the number of the first image among all samples
   int form;
   bool same_on_batch;
 
   KV_HD DrawSource source(int64_t b) const {
     int64_t const own = seeds ? seeds[b * seed_stride] : keys ? keys[key * key_stride] : key;
-    return {uint64_t(own), seeds || same_on_batch ? 0 : uint32_t(b), position};
+    return {uint64_t(own), seeds || same_on_batch ? 0 : uint32_t(first_sample + b), position};
+  }
+  // Leaves samples out at the front; images are not among what it changes.
+  KV_HD void skip(int64_t count) {
+    parameters += count * parameter_stride;
+    if (chosen) chosen += count * chosen_stride;
+    if (seeds) seeds += count * seed_stride;
+    first_sample += count;
   }
   KV_HD bool is_chosen(int64_t b) const { return !chosen || chosen[b * chosen_stride] != 0; }
   KV_HD int64_t offset(int64_t b, int64_t c) const { return b * channels * pixels + c * channel_stride; }
@@ -71,6 +80,32 @@ KV_KERNEL(gaussian_noise, PixelNoise)
 KV_KERNEL(uniform_noise, PixelNoise)
 KV_KERNEL(salt_and_pepper, PixelNoise)
 KV_KERNEL(shot_noise, PixelNoise)
+
+// The same of images of different sizes: `all` is what the samples of the table have in common.
+template <class T>
+struct PixelNoiseList {
+  PixelNoise<T> all;
+  ListedSamples list;
+
+  // A sample as a batch of one.
+  KV_HD PixelNoise<T> sample(int b) const {
+    PixelNoise<T> one = all;
+    one.skip(b);
+    one.batch = 1;
+    one.x = static_cast<T const*>(list.images[b].data);
+    one.y = static_cast<T*>(list.results[b].data);
+    one.pixels = int64_t(list.images[b].height) * list.images[b].width;
+    if (one.step == 1) one.channel_stride = one.pixels;
+    return one;
+  }
+};
+
+// On the CPU an item is a chunk of pixels, on CUDA a block of threads.
+KV_KERNEL(gaussian_noise_list, PixelNoiseList)
+KV_KERNEL(uniform_noise_list, PixelNoiseList)
+KV_KERNEL(salt_and_pepper_list, PixelNoiseList)
+
+constexpr int kNoiseThreads = 256;
 
 // What becomes of the pixels of a word: with unit(word) below the amount they are hit, below that times `fraction` by
 // salt.

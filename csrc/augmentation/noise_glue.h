@@ -10,7 +10,7 @@ namespace kv::augmentation {
 
 // What determines noise: keys (K,) on the CPU or on the device of the images; seeds (B,), which replace the keys; and
 // the plan, which is the index of the key, the position in the chain, the index of the draw, same_on_batch, and, where
-// it is not 0, the form.
+// they are not 0, the form and the number of the first sample.
 struct NoiseSource {
   char const* op;
   Tensor const &images, &keys;
@@ -18,6 +18,7 @@ struct NoiseSource {
   std::span<int64_t const> plan;
 
   int64_t form() const { return plan.size() > 4 ? plan[4] : 0; }
+  int64_t first_sample() const { return plan.size() > 5 ? plan[5] : 0; }
   bool is_on_device(Tensor const& t) const { return t.device() == images.device(); }
 
   void check() const {
@@ -30,7 +31,8 @@ struct NoiseSource {
       KV_CHECK(seeds->dim() == 1 && (seeds->size(0) == batch || seeds->size(0) == 1) &&
                    seeds->scalar_type() == ScalarType::Long && is_on_device(*seeds),
                op, ": expected int64 seeds of shape (B,) on the device of images");
-    KV_CHECK(plan.size() == 4 || plan.size() == 5, op, ": expected a plan of four or five numbers, got ", plan.size());
+    KV_CHECK(plan.size() >= 4 && plan.size() <= 6, op, ": expected a plan of four to six numbers, got ", plan.size());
+    KV_CHECK(first_sample() >= 0 && first_sample() + batch <= UINT32_MAX, op, ": first sample out of range");
     KV_CHECK(form() >= 0 && form() <= NoiseForm::all, op, ": expected a form from 0 to ", NoiseForm::all);
     KV_CHECK(seeds || (plan[0] >= 0 && plan[0] < keys.size(0)), op, ": there is no key ", plan[0]);
     KV_CHECK(plan[1] >= 0 && plan[1] <= UINT32_MAX && plan[2] >= 1 && plan[2] <= UINT16_MAX, op,
@@ -47,6 +49,7 @@ struct NoiseSource {
     n.key = on_host && !seeds ? data_ptr<int64_t const>(keys)[plan[0] * keys.stride(0)] : plan[0];
     n.position = uint32_t(plan[1]), n.draw = uint32_t(plan[2]);
     n.same_on_batch = plan[3] != 0;
+    n.first_sample = first_sample();
     n.form = int(form());
   }
 };

@@ -1,5 +1,7 @@
 // Noise: schemas and entries, for CPU and CUDA.
 #include "augmentation/noise_glue.h"
+#include "color/lists/program_list_glue.h"
+#include "geometry/transform/lists/list_glue.h"
 
 namespace kv::augmentation {
 namespace {
@@ -32,10 +34,10 @@ struct NoiseArguments {
     KV_CHECK(fits, op, ": expected float32 uniform of the shape and device of images");
   }
 
+  // All but the images.
   template <class T>
-  PixelNoise<T> params(Tensor const& x, Tensor const& y, Tensor const& p, Layout layout, double salt) const {
-    PixelNoise<T> n;
-    set_images(n, x, y, layout);
+  PixelNoise<T> params(Tensor const& p, double salt) const {
+    PixelNoise<T> n{};
     source().set(n);
     set_chosen(n, chosen);
     n.parameters = data_ptr<Compute<T> const>(p);
@@ -59,7 +61,8 @@ Tensor run_noise(NoiseArguments const& arguments, double salt, Run const& run) {
                                ? OptionalTensor(dense_in_layout(**arguments.uniform, layout))
                                : std::nullopt;
   dispatch_floating_and_uint8(arguments.op, x, [&]<class T>(Type<T>) {
-    PixelNoise<T> params = arguments.params<T>(x, y, p, layout, salt);
+    PixelNoise<T> params = arguments.params<T>(p, salt);
+    set_images(params, x, y, layout);
     if (u) params.uniform = data_ptr<float const>(*u);
     run(x, params);
   });
@@ -108,6 +111,68 @@ Tensor salt_and_pepper_backward(Tensor const& grad, Tensor const& parameters, Te
   return run_salt_and_pepper({"salt_and_pepper_backward", grad, parameters, keys, seeds, chosen, plan}, 0);
 }
 
+// The same on images (C, H, W) of different sizes: `run` calls the kernel for the samples of a table. `by_pixel`: a
+// thread has all channels of its pixels.
+template <class Run>
+Tensors run_noise_list(char const* op, Tensors const& images, Tensor const& parameters, Tensor const& keys,
+                       OptionalTensor const& seeds, OptionalTensor const& chosen, std::vector<int64_t> const& plan,
+                       double salt, [[maybe_unused]] bool by_pixel, Run const& run) {
+  geometry::KeptSizes const kept(op, images);
+  Tensor const& like = kept.largest;
+  NoiseArguments const arguments{op, like, parameters, keys, seeds, chosen, plan};
+  arguments.check();
+  Tensor const p = dense(parameters);
+  Tensors const rows = color::in_pixel_rows(images, kept.layout);
+  int64_t const channels = like.size(1);
+  auto const items_of = [&](geometry::Size size) {
+    int64_t const pixels = size.height * size.width;
+#if defined(KV_CUDA)
+    return ceil_div((by_pixel ? 1 : channels) * ceil_div(pixels, 4), kNoiseThreads);
+#else
+    return ceil_div(pixels, kNoiseChunk);
+#endif
+  };
+  dispatch_floating_and_uint8(op, like, [&]<class T>(Type<T>) {
+    PixelNoiseList<T> list;
+    PixelNoise<T> all = arguments.params<T>(p, salt);
+    all.channels = channels;
+    all.channel_stride = 1, all.step = kept.interleaved() ? channels : 1;
+    kept.for_each_table(list.list, rows, items_of, [&](size_t first) {
+      list.all = all;
+      list.all.skip(int64_t(first));
+      run(like, list, kNoiseChunk * channels);
+    });
+  });
+  return kept.results;
+}
+
+Tensors gaussian_noise_list(Tensors const& images, Tensor const& parameters, Tensor const& keys,
+                            OptionalTensor const& seeds, OptionalTensor const& chosen,
+                            std::vector<int64_t> const& plan) {
+  return run_noise_list("gaussian_noise_list", images, parameters, keys, seeds, chosen, plan, 0, false,
+                        []([[maybe_unused]] Tensor const& like, auto const& p, [[maybe_unused]] int64_t elements) {
+                          KV_RUN(gaussian_noise_list, like, p, p.list.items, 4 * elements);
+                        });
+}
+
+Tensors uniform_noise_list(Tensors const& images, Tensor const& parameters, Tensor const& keys,
+                           OptionalTensor const& seeds, OptionalTensor const& chosen,
+                           std::vector<int64_t> const& plan) {
+  return run_noise_list("uniform_noise_list", images, parameters, keys, seeds, chosen, plan, 0, false,
+                        []([[maybe_unused]] Tensor const& like, auto const& p, [[maybe_unused]] int64_t elements) {
+                          KV_RUN(uniform_noise_list, like, p, p.list.items, 4 * elements);
+                        });
+}
+
+Tensors salt_and_pepper_list(Tensors const& images, Tensor const& parameters, Tensor const& keys,
+                             OptionalTensor const& seeds, OptionalTensor const& chosen,
+                             std::vector<int64_t> const& plan) {
+  return run_noise_list("salt_and_pepper_list", images, parameters, keys, seeds, chosen, plan, 1, true,
+                        []([[maybe_unused]] Tensor const& like, auto const& p, [[maybe_unused]] int64_t elements) {
+                          KV_RUN(salt_and_pepper_list, like, p, p.list.items, 2 * elements);
+                        });
+}
+
 }  // namespace
 
 #define KV_NOISE "Tensor parameters, Tensor keys, Tensor? seeds, Tensor? chosen, int[] plan) -> Tensor"
@@ -119,5 +184,12 @@ KV_OPERATOR(shot_noise,
 KV_OPERATOR(salt_and_pepper, "(Tensor images, " KV_NOISE)
 KV_OPERATOR(salt_and_pepper_backward, "(Tensor grad, " KV_NOISE)
 #undef KV_NOISE
+// The same of images (C, H, W) of different sizes, as a list.
+#define KV_NOISE_LIST \
+  "(Tensor[] images, Tensor parameters, Tensor keys, Tensor? seeds, Tensor? chosen, int[] plan) -> Tensor[]"
+KV_OPERATOR(gaussian_noise_list, KV_NOISE_LIST)
+KV_OPERATOR(uniform_noise_list, KV_NOISE_LIST)
+KV_OPERATOR(salt_and_pepper_list, KV_NOISE_LIST)
+#undef KV_NOISE_LIST
 
 }  // namespace kv::augmentation

@@ -4,6 +4,7 @@
 #pragma once
 
 #include "images.h"
+#include "view.h"
 
 namespace kv {
 
@@ -32,6 +33,13 @@ KV_HD Images<T> images_of(ListedResult const& y, int channels, bool interleaved)
   int64_t const width = y.width, step = interleaved ? channels : 1;
   return {
       static_cast<T*>(y.data), 0, interleaved ? 1 : y.height * width, width * step, step, 1, y.height, width, channels};
+}
+
+// An image whose pixels are adjacent, as planes, or as one of interleaved pixels.
+template <class T>
+KV_HD Planes<T> planes_of(Images<T> const& x, bool interleaved) {
+  int64_t const planes = interleaved ? 1 : x.channels, step = interleaved ? x.channels : 1;
+  return {x.data, planes, 1, x.channel_stride, 0, x.row_stride, x.height, x.width, step};
 }
 
 // The entry of a table that an item belongs to. Those of entry i begin at first_of(i).

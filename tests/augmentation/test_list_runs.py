@@ -27,8 +27,19 @@ PASSES = {
         A.ColorJitter(0.2, 0.2, 0.2, 0.1),
         A.Normalize(0.4, 0.3),
     ),
+    "erasing": lambda: (A.RandomErasing(p=0.7), A.RandomHorizontalFlip(), A.CoarseDropout((1, 3), fill=0.5, p=0.9)),
     "late crop": lambda: (A.RandomHorizontalFlip(), A.RandomResizedCrop((12, 14)), A.ColorJitter(0.2, 0.2)),
 }
+
+
+# Of pixels that have numbers of their own.
+NOISES = {
+    "normal": lambda: (A.RandomAffine(20.0), A.RandomGaussianNoise(std=0.2, p=0.7), A.RandomHorizontalFlip()),
+    "salt": lambda: (A.RandomSaltAndPepperNoise(0.2, p=0.7),),
+    "factors": lambda: (A.SpeckleNoise(p=0.7), A.MultiplicativeNoise(per_channel=True, elementwise=True, p=1.0)),
+    "late": lambda: (A.RandomErasing(), A.RandomResizedCrop((12, 14)), A.RandomErasing(), A.SpeckleNoise(p=1.0)),
+}
+PASSES_AND_NOISES = {**PASSES, **NOISES}
 
 
 def is_by_passes(augment):
@@ -58,10 +69,53 @@ def test_passes_over_a_list(name, dtype, channels, device):
         assert all(torch.equal(a, b) for a, b in zip(results, augment(torch.stack(equal), **options)))
 
 
-@pytest.mark.parametrize("name", PASSES)
+@pytest.mark.parametrize("dtype", [torch.uint8, torch.float16, torch.float32], ids=str)
+@pytest.mark.parametrize("name", NOISES)
+def test_noise_of_a_list(name, dtype, device):
+    """That of each image alone under its seed, and of a batch under one seed; parameters, masks and a replay have it, too."""
+    augment, images = A.AugmentationSequential(*NOISES[name](), data_keys=["input"]), pictures(device, SMALL, dtype)
+    seeds = seeds_of(images)
+    for given in (images, [x.permute(1, 2, 0).contiguous().permute(2, 0, 1) for x in images]):
+        results = augment(given, seed=seeds)
+        assert is_by_passes(augment) == (dtype != torch.uint8 or name in ("factors", "late"))
+        params = augment._params
+        for b, x in enumerate(given):
+            assert torch.equal(results[b], augment(x[None], seed=seeds[b : b + 1])[0])
+        replayed = augment(given, params=params)
+        for a, b in zip(results, replayed):
+            assert_close(a, b, *((0, 1) if dtype == torch.uint8 else (2e-3, 2e-3)))
+    equal = [x[:, :15, :16].contiguous() for x in images]
+    for options in ({"seed": 3}, {}):
+        torch.manual_seed(0)
+        results, params = augment(equal, **options), augment._params
+        torch.manual_seed(0)
+        batch = augment(torch.stack(equal), **options)
+        assert all(torch.equal(a, b) for a, b in zip(results, batch))
+        for a, b in zip(augment(equal, params=params), batch):
+            assert_close(a, b, *((0, 1) if dtype == torch.uint8 else (2e-3, 2e-3)))
+
+
+def test_masks_of_erased_images_of_a_list(device):
+    images = pictures(device, SMALL)
+    masks = [torch.ones(1, *x.shape[1:], dtype=torch.uint8, device=device) for x in images]
+    augment = A.AugmentationSequential(
+        A.RandomErasing(p=0.7), A.RandomHorizontalFlip(), A.CoarseDropout(p=0.9), data_keys=["input", "mask"]
+    )
+    seeds = seeds_of(images)
+    y, moved = augment(images, masks, seed=seeds)
+    assert is_by_passes(augment)
+    for b, x in enumerate(images):
+        alone = augment(x[None], masks[b][None], seed=seeds[b : b + 1])
+        assert torch.equal(y[b], alone[0][0]) and torch.equal(moved[b], alone[1][0])
+
+
+@pytest.mark.parametrize("name", PASSES_AND_NOISES)
 def test_gradients_of_passes_over_a_list(name, device):
     """Those of each image alone; one that appears twice adds up."""
-    augment, images = A.ImageSequential(*PASSES[name]()), [x.requires_grad_() for x in pictures(device, SMALL)]
+    augment, images = (
+        A.ImageSequential(*PASSES_AND_NOISES[name]()),
+        [x.requires_grad_() for x in pictures(device, SMALL)],
+    )
     images[2] = images[0]
     seeds = seeds_of(images)
     weights = [torch.rand_like(y) for y in augment(images, seed=seeds)]
@@ -82,12 +136,12 @@ def test_results_in_another_type(device):
     assert not is_by_passes(A.ImageSequential(augment))
 
 
-@pytest.mark.parametrize("name", ["flips", "affine", "everything"])
+@pytest.mark.parametrize("name", ["flips", "affine", "everything", "erasing", "factors"])
 def test_as_many_launches_as_a_batch(name):
     """With contrast two more where the planes of some images begin between vectors: no cluster of blocks keeps these."""
     if not torch.cuda.is_available():
         pytest.skip("needs a GPU")
-    augment = A.ImageSequential(*PASSES[name]())
+    augment = A.ImageSequential(*PASSES_AND_NOISES[name]())
     for step, more in ((4, 0), (1, 2 * (name == "everything"))):
         images = pictures("cuda", [(40 + i % 9, 52 + step * (i % 7)) for i in range(300)], torch.uint8)
         batch = torch.stack([x[:, :40, :52] for x in images])
@@ -114,11 +168,11 @@ def test_what_is_no_linear_function_of_the_size_is_done_image_by_image(device):
 
 
 @pytest.mark.tracing
-@pytest.mark.parametrize("name", PASSES)
+@pytest.mark.parametrize("name", PASSES_AND_NOISES)
 def test_compiles_twice_at_most_a_length(name, device):
     from torch._dynamo.testing import CompileCounter
 
-    counter, augment = CompileCounter(), A.ImageSequential(*PASSES[name]())
+    counter, augment = CompileCounter(), A.ImageSequential(*PASSES_AND_NOISES[name]())
     torch._dynamo.reset()
     compiled = torch.compile(lambda images: augment(images, seed=3), fullgraph=True, backend=counter)
     for sizes in (((20, 30), (41, 17), (15, 64)), ((16, 19), (21, 18), (25, 33)), ((18, 28), (51, 40), (16, 17))):
@@ -214,6 +268,7 @@ def test_noise_behind_a_late_crop_is_that_of_each_image(device):
     augment, images = A.ImageSequential(*PASSES["late crop"](), A.RandomGaussianNoise(p=1.0)), pictures(device, SMALL)
     seeds = seeds_of(images)
     results, params = augment(images, seed=seeds), augment._params
-    assert not is_by_passes(augment) and torch.equal(augment(images, params=params), results)
+    assert is_by_passes(augment)
+    assert_close(augment(images, params=params), results, 1e-5, 1e-5)
     for b, x in enumerate(images):
         assert torch.equal(results[b], augment(x[None], seed=seeds[b : b + 1])[0])

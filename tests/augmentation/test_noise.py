@@ -320,7 +320,7 @@ def test_plans_are_checked(operator, device):
     x, columns = torch.zeros(2, 1, 2, 2, device=device), MIDDLE.to(device)
     for plan, message in (
         ([2, 0, 1, 0], "no key 2"),
-        ([0, 0, 1], "four or five numbers"),
+        ([0, 0, 1], "four to six numbers"),
         ([0, -1, 1, 0], "out of range"),
         ([0, 0, 1, 0, 32], "a form from 0 to 31"),
     ):

@@ -8,6 +8,8 @@ import torch
 from torch import Tensor
 
 from kvision._ops import Operator, match_layout, register, saturate_to_byte
+from kvision.geometry.transform.lists.arguments import row
+from kvision.geometry.transform.lists.kept_sizes import register_list
 
 
 def is_erased(images: Tensor, boxes: Tensor) -> Tensor:
@@ -42,6 +44,15 @@ def is_line(images: Tensor, grids: Tensor) -> Tensor:
     return ((along_x.remainder(cell) < line) | (along_y.remainder(cell) < line))[:, None]
 
 
+def _gradients(
+    erase: Operator, needs: Sequence[bool], grad: Tensor, parts: Tensor, values: Tensor
+) -> list[Tensor | None]:
+    kept = erase(grad, parts, torch.zeros_like(values))
+    if not needs[2]:
+        return [kept, None, None]
+    return [kept, None, (grad - kept).to(values.dtype).sum((2, 3)).sum_to_size(values.shape)]
+
+
 def _register_eraser(name: str, is_part: Callable[[Tensor, Tensor], Tensor]) -> Operator:
     """The operator that sets parts of images to values (B, C), or (B, 1) for all channels, in the units of the images."""
 
@@ -54,10 +65,7 @@ def _register_eraser(name: str, is_part: Callable[[Tensor, Tensor], Tensor]) -> 
     def backward(
         needs: Sequence[bool], grad: Tensor, images: Tensor, parts: Tensor, values: Tensor
     ) -> list[Tensor | None]:
-        kept = erase(grad, parts, torch.zeros_like(values))
-        if not needs[2]:
-            return [kept, None, None]
-        return [kept, None, (grad - kept).to(values.dtype).sum((2, 3)).sum_to_size(values.shape)]
+        return _gradients(erase, needs, grad, parts, values)
 
     erase = register(name, reference, backward=backward, bytes=True, casts_outputs=True)
     return erase
@@ -65,3 +73,11 @@ def _register_eraser(name: str, is_part: Callable[[Tensor, Tensor], Tensor]) -> 
 
 erase_rectangles = _register_eraser("erase_rectangles", is_erased)
 erase_grid = _register_eraser("erase_grid", is_line)
+
+
+register_list(
+    "erase_rectangles_list",
+    erase_rectangles,
+    lambda b, boxes, values: (row(boxes, b), row(values, b)),
+    lambda needs, grad, images, boxes, values: _gradients(erase_rectangles, needs, grad, boxes, values),
+)

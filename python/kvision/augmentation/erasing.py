@@ -14,6 +14,7 @@ from kvision.augmentation.erase import erase_rectangles, is_erased
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
 from kvision.augmentation.random_generator.erase import RectangleEraseGenerator
 from kvision.augmentation.ranges import Numbers
+from kvision.geometry.transform.lists.kept_sizes import Operation
 
 __all__ = ["RandomErasing"]
 
@@ -57,15 +58,21 @@ class RandomErasing(IntensityAugmentationBase2D, keeps_contract=True):
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
-        values = params["values"].to(compute_dtype(input))
-        if input.dtype == torch.uint8:
-            values = values * 255
-        boxes = self._param_generator.to_columns(params, tuple(input.shape))[:, None]
-        if values.dim() == 4:
-            noise = values.round() if input.dtype == torch.uint8 else values
-            return torch.where(is_erased(input, boxes), noise.to(input.dtype), input)
-        y: Tensor = erase_rectangles(input, boxes, values if values.dim() == 2 else values[:, None])
-        return y
+        if params["values"].dim() < 4:
+            return self._operation(input, params)(input)
+        boxes, noise = self._boxes_and_values(input, params)
+        noise = noise.round() if input.dtype == torch.uint8 else noise
+        return torch.where(is_erased(input, boxes), noise.to(input.dtype), input)
+
+    def _operation(self, like: Tensor, params: Params) -> Operation:
+        boxes, values = self._boxes_and_values(like, params)
+        return Operation(erase_rectangles, (boxes, values if values.dim() == 2 else values[:, None]))
+
+    def _boxes_and_values(self, like: Tensor, params: Params) -> tuple[Tensor, Tensor]:
+        """The boxes (B, 1, 4), and the values in the units of images."""
+        values = params["values"].to(compute_dtype(like))
+        boxes = self._param_generator.to_columns(params, tuple(like.shape))[:, None]
+        return boxes, values * 255 if like.dtype == torch.uint8 else values
 
     def transform_masks(self, masks: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
         if not execution.applied:

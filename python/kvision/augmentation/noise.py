@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -23,11 +23,14 @@ from kvision._limits import NOISE_SHARED as SHARED
 from kvision._ops import Operator, match_layout, register, saturate_to_byte
 from kvision.augmentation.draws import MAX_DRAWS, philox, unit
 from kvision.augmentation.keys import Keys, flatten_draws
+from kvision.geometry.transform.lists.arguments import row
+from kvision.geometry.transform.lists.kept_sizes import register_list
 
 # Arguments of the operators: images (B, C, H, W); parameters (B, 2) of the type that is computed in, for images in [0, 1]
 # (bytes have 255 times their noise); keys (K,) int64 on the CPU or the images' device; seeds (B,) int64, which replace the
 # keys, or None; chosen (B,) float32, 0 for samples that stay as they are, or None; and the plan: index of the key, position
-# in the chain, index of the draw, same_on_batch and, where it is not 0, the form, a sum of flags (csrc/augmentation/noise.h).
+# in the chain, index of the draw, same_on_batch and, where they are not 0, the form, a sum of flags (csrc/augmentation/noise.h),
+# and the number of the first sample, of some of those of a call.
 NO_KEY = torch.zeros(1, dtype=torch.int64, device="cpu")  # of operators that are given their noise
 _FLATTEN = flatten_draws(keys=2)
 # Flags. Of normal and uniform noise: MULTIPLY, images are multiplied by it; CLAMP, results are clamped to [0, 1]; SHARED, all
@@ -46,7 +49,8 @@ def _words(
     batch, device = images.shape[0], images.device
     index, position, draw, same = plan[:4]
     key = keys.to(device)[index].expand(batch) if seeds is None else seeds.expand(batch)
-    sample = torch.arange(batch, device=device)
+    first = plan[5] if len(plan) > 5 else 0
+    sample = torch.arange(first, first + batch, device=device)
     sample = torch.zeros_like(sample) if same or seeds is not None else sample
     blocks = (images.shape[2] * images.shape[3] + 3) // 4
     block = torch.arange(planes * blocks, device=device)
@@ -292,6 +296,29 @@ salt_and_pepper = register(
 )
 
 
+# --- lists ----------------------------------------------------------------------------------------------------------
+
+
+def _of_sample(
+    b: int, parameters: Tensor, keys: Tensor, seeds: Tensor | None, chosen: Tensor | None, plan: Sequence[int]
+) -> tuple[Any, ...]:
+    """The arguments of an image of a list, by its number."""
+    first = plan[5] if len(plan) > 5 else 0
+    return row(parameters, b), keys, row(seeds, b), row(chosen, b), [*plan[:4], _form(plan), first + b]
+
+
+def _salt_and_pepper_gradients(needs: Sequence[bool], grad: Tensor, images: Tensor, *args: Any) -> list[Tensor | None]:
+    return [_salt_and_pepper_backward(grad, *args)]
+
+
+register_list("gaussian_noise_list", gaussian_noise, _of_sample, partial(_noise_backward, "gaussian_noise"))
+register_list("uniform_noise_list", uniform_noise, _of_sample, partial(_noise_backward, "uniform_noise"))
+register_list("salt_and_pepper_list", salt_and_pepper, _of_sample, _salt_and_pepper_gradients)
+
+
+# --- the source of an augmentation ----------------------------------------------------------------------------------
+
+
 def noise_plan(number: int, has_seed: bool, same_on_batch: bool, map: int = 0) -> tuple[int, int, int, int]:
     """The plan of the noise of an augmentation, by its number as draw_columns counts."""
     key, position = (0, number) if has_seed else (number, 0)
@@ -307,11 +334,13 @@ class PixelNoise(NamedTuple):
     same_on_batch: bool
     device: torch.device
     chosen: Tensor | None = None  # (B,), as the operators take it
+    first: int = 0  # the number of the first sample
 
     def arguments(self, map: int = 0, form: int = 0) -> tuple[Tensor, Tensor | None, Tensor | None, tuple[int, ...]]:
         """The arguments of the operators after the parameters."""
         plan = noise_plan(self.number, self.keys.has_seed, self.same_on_batch, map)
-        return self.keys.keys, self.keys.seeds_on(self.device), self.chosen, (*plan, form) if form else plan
+        rest = (form, self.first) if self.first else (form,) if form else ()
+        return self.keys.keys, self.keys.seeds_on(self.device), self.chosen, (*plan, *rest)
 
     def uniform(self, shape: Sequence[int], map: int = 0) -> Tensor:
         """Uniform noise (B, C, H, W) in [0, 1], float64."""

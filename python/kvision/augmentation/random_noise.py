@@ -12,6 +12,7 @@ from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
 from kvision.augmentation.noise import gaussian_noise, salt_and_pepper
 from kvision.augmentation.random_generator.noise import GaussianNoiseGenerator, SaltAndPepperGenerator
 from kvision.augmentation.ranges import Numbers
+from kvision.geometry.transform.lists.kept_sizes import Operation
 
 __all__ = ["RandomGaussianNoise", "RandomSaltAndPepperNoise"]
 
@@ -57,9 +58,11 @@ class RandomGaussianNoise(IntensityAugmentationBase2D, keeps_contract=True):
     ) -> Tensor:
         if "_noise" not in params:
             return input + params["gaussian_noise"]
+        return self._operation(input, params)(input)
+
+    def _operation(self, like: Tensor, params: Params) -> Operation:
         parameters, noise = params["_noise"]
-        y: Tensor = gaussian_noise(input, parameters.to(compute_dtype(input)), *noise.arguments())
-        return y
+        return Operation(gaussian_noise, (parameters.to(compute_dtype(like)), *noise.arguments()))
 
 
 class RandomSaltAndPepperNoise(IntensityAugmentationBase2D, keeps_contract=True):
@@ -101,6 +104,8 @@ class RandomSaltAndPepperNoise(IntensityAugmentationBase2D, keeps_contract=True)
     ) -> Tensor:
         if "_noise" not in params:
             return input.masked_fill(params["mask_salt"], 1.0).masked_fill(params["mask_pepper"], 0.0)
+        return self._operation(input, params)(input)
+
+    def _operation(self, like: Tensor, params: Params) -> Operation:
         parameters, noise = params["_noise"]
-        y: Tensor = salt_and_pepper(input, parameters.to(compute_dtype(input)), *noise.arguments())
-        return y
+        return Operation(salt_and_pepper, (parameters.to(compute_dtype(like)), *noise.arguments()))

@@ -117,6 +117,42 @@ void for_each_table(ListedSamples& list, size_t count, ImageOf image_of, ResultO
   }
 }
 
+// A list of images (C, H, W) whose results have their sizes and their type.
+struct KeptSizes {
+  char const* op;
+  std::vector<int64_t> sides;
+  Tensor largest;  // stands for a batch (B, C, H, W) in checks
+  Layout layout;
+  Tensors results;
+
+  KeptSizes(char const* op, Tensors const& images) : op(op) {
+    check_image_list(op, "images", images);
+    sides.reserve(2 * images.size());
+    Tensor const* most = &images[0];
+    for (Tensor const& x : images) {
+      sides.push_back(x.size(1)), sides.push_back(x.size(2));
+      if (x.size(1) * x.size(2) > most->size(1) * most->size(2)) most = &x;
+    }
+    int64_t const count = int64_t(images.size()), channels = most->size(0);
+    largest = view_of(*most, {count, channels, most->size(1), most->size(2)},
+                      {0, most->stride(0), most->stride(1), most->stride(2)});
+    layout = layout_of(as_batch(images[0]));
+    results = empty_list(largest, channels, {op, sides, images.size()}, images.size(), layout);
+  }
+  bool interleaved() const { return layout == Layout::channels_last; }
+
+  // Fills tables of images, which have the layout, and calls run(first sample of the table).
+  template <class ItemsOf, class Run>
+  void for_each_table(ListedSamples& list, Tensors const& images, ItemsOf items_of, Run run) const {
+    if (largest.size(1) == 0) return;
+    ListSizes const sizes(op, sides, images.size());
+    list.interleaved = interleaved();
+    geometry::for_each_table(
+        list, images.size(), [&](size_t b) { return listed(images[b]); }, [&](size_t b) { return listed(results[b]); },
+        [&](size_t b) { return items_of(sizes[b]); }, run);
+  }
+};
+
 // A call that resizes a list of images, or the gradients of its results, which are one batch or a list.
 struct ListResizing {
   char const* op;

@@ -19,13 +19,6 @@ KV_HD ResizeAxis resize_axis_at(ResizeList<T> const& p, int64_t from, int64_t to
   return {p.filter, p.backward ? to : from, p.backward ? from : to, p.align_corners, p.antialias, p.backward};
 }
 
-// Without the axes: images and results have the same layout.
-template <class T>
-KV_HD Planes<T> planes_of(Images<T> const& x, bool interleaved) {
-  int64_t const planes = interleaved ? 1 : x.channels, step = interleaved ? x.channels : 1;
-  return {x.data, planes, 1, x.channel_stride, 0, x.row_stride, x.height, x.width, step};
-}
-
 KV_KERNEL(resize_list, ResizeList)
 
 // An item is some rows of a plane or of interleaved pixels on the CPU, where rows of all planes follow each other; on

@@ -33,6 +33,7 @@ from kvision.augmentation.ranges import Numbers
 from kvision.augmentation.samples import per_sample
 from kvision.color.hls import hls_to_rgb, rgb_to_hls
 from kvision.core.exceptions import ShapeError
+from kvision.geometry.transform.lists.kept_sizes import Operation
 
 _GAMMA = 2.2  # of the encoding that shot noise undoes
 
@@ -217,13 +218,16 @@ class ISONoise(IntensityAugmentationBase2D, keeps_contract=True):
         return y
 
 
+def multiplication(generator: FactorsGenerator, like: Tensor, params: Params) -> Operation:
+    """The operator that draws the factors where it multiplies by them."""
+    columns, noise = params["_noise"]
+    return Operation(generator.draw, (columns.to(compute_dtype(like)), *noise.arguments(form=generator.form | CLAMP)))
+
+
 def multiplied(generator: FactorsGenerator, x: Tensor, params: Params) -> Tensor:
     """Images times the factors of a generator, clamped to their range."""
     if "_noise" in params:
-        columns, noise = params["_noise"]
-        arguments = noise.arguments(form=generator.form | CLAMP)
-        y: Tensor = generator.draw(x, columns.to(compute_dtype(x)), *arguments)
-        return y
+        return multiplication(generator, x, params)(x)
     factors = params["factors"].to(x.device, compute_dtype(x))
     if x.dtype == torch.uint8:
         return (x.float() * factors).round().clamp(0, 255).to(torch.uint8)
@@ -275,6 +279,9 @@ class MultiplicativeNoise(IntensityAugmentationBase2D, keeps_contract=True):
     ) -> Tensor:
         return multiplied(self._param_generator, input, params)
 
+    def _operation(self, like: Tensor, params: Params) -> Operation:
+        return multiplication(self._param_generator, like, params)
+
 
 class SpeckleNoise(IntensityAugmentationBase2D, keeps_contract=True):
     """Add normal noise in proportion to the values of images, as coherent light has, and clamp them to [0, 1].
@@ -312,3 +319,6 @@ class SpeckleNoise(IntensityAugmentationBase2D, keeps_contract=True):
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
         return multiplied(self._param_generator, input, params)
+
+    def _operation(self, like: Tensor, params: Params) -> Operation:
+        return multiplication(self._param_generator, like, params)

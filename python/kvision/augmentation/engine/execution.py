@@ -12,6 +12,7 @@ from torch import Tensor
 from kvision._dtype import compute_dtype
 from kvision.augmentation.columns import Columns
 from kvision.augmentation.keys import Keys
+from kvision.augmentation.noise import PixelNoise
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 
 Shape = tuple[int, ...]
@@ -59,6 +60,7 @@ class Execution:
     keeps_map = False  # for labels of the same call
     map: Tensor | None = None  # of a deformation, kept by `keeps_map`
     found: Params | None = None  # parameters by name that labels gave
+    noise: PixelNoise | None = None  # the source of the numbers of pixels, of an image of a list
 
     def __init__(
         self,

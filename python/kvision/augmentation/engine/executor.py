@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -27,6 +27,8 @@ from kvision.augmentation.keys import Keys, Seed, check_seeds, draw_keys
 from kvision.augmentation.noise import PixelNoise
 from kvision.augmentation.samples import where_chosen
 from kvision.augmentation.warp_and_color import Pass, make_pass
+from kvision.geometry.transform.lists.arguments import like_batch
+from kvision.geometry.transform.lists.kept_sizes import Operation
 
 
 class CallPlan(NamedTuple):
@@ -128,7 +130,7 @@ class Executor(Declaration):
             params = self._named(values, execution)
             if self._param_generator.per_pixel:
                 redraw = redraw or (draw_keys(type(self).__name__, 1, values.device, 0, None), 0)
-                noise = PixelNoise(*redraw, self.same_on_batch, values.device)
+                noise = self._pixel_noise(execution, redraw, values.device)
                 params.update(self._pixel_params(values, execution, noise))
         params["batch_prob"] = chosen
         params["forward_input_shape"] = torch.tensor(shape, device="cpu")
@@ -177,8 +179,8 @@ class Executor(Declaration):
             return params
         values = execution.columns.values
         params.update(self._named(values, execution))
-        if generator.per_pixel and execution.redraw is not None:
-            noise = PixelNoise(*execution.redraw, self.same_on_batch, x.device)
+        if generator.per_pixel and (execution.redraw or execution.noise):
+            noise = self._pixel_noise(execution, execution.redraw, x.device)
             # The noise that `_params` has is float32.
             is_fused = self.fuses_noise and execution.frames == 1 and x.dtype != torch.float64
             if is_fused and not self._is_customized():
@@ -186,6 +188,13 @@ class Executor(Declaration):
             else:
                 params.update(self._pixel_params(values, execution, noise))
         return params
+
+    def _pixel_noise(self, execution: Execution, redraw: tuple[Keys, int] | None, device: torch.device) -> PixelNoise:
+        """The source of the numbers of pixels."""
+        if redraw is None or execution.noise is not None:
+            assert execution.noise is not None
+            return execution.noise._replace(device=device)
+        return PixelNoise(*redraw, self.same_on_batch, device)
 
     def _pixel_params(self, values: Tensor, execution: Execution, noise: PixelNoise) -> Params:
         """The parameters with numbers of their own for each pixel, the same for the frames of a video."""
@@ -365,6 +374,24 @@ class Executor(Declaration):
                 transform = torch.where(execution.chosen[:, None, None], transform, identity)
         execution.matrix = transform
         return y
+
+    def _operation(self, like: Tensor, params: Params) -> Operation:
+        """The operator that makes images like a batch the results, if :meth:`_operates_on` their type."""
+        raise NotImplementedError(f"{type(self).__name__}._operation")
+
+    def _operates_on(self, dtype: torch.dtype) -> bool:
+        """Whether one operator is all that is done to images of a type, whatever is drawn, so that lists need no other call."""
+        has_operation = type(self)._operation is not Executor._operation and not self._is_customized()
+        if not has_operation or not (self.keeps_unchosen or self.fuses_noise) or self._result_dtype(dtype) != dtype:
+            return False
+        if self._param_generator is not None and self._param_generator.per_pixel:
+            has_operation = self.fuses_noise and dtype != torch.float64
+        return has_operation and (self.accepts_bytes or dtype != torch.uint8)
+
+    def _run_list(self, images: Sequence[Tensor], execution: Execution) -> list[Tensor]:
+        """Execute on a list of images (C, H, W) of a type that it operates on."""
+        like = like_batch(images)
+        return self._operation(like, self._params_on_device(like, execution, for_users=False)).on_list(images)
 
     def _needs_no_matrix(self) -> bool:
         """Whether positions are kept and no method is a user's: then the identity matrix is made only when it is read."""

@@ -24,14 +24,15 @@ from kvision.augmentation.draws import HEADER, MAX_DRAWS, MAX_NUMBERS, Draw, Req
 from kvision.augmentation.engine.call_context import CallContext
 from kvision.augmentation.engine.execution import Execution, ListExecution, matrix_type
 from kvision.augmentation.engine.list_calls import SIZES, Parts
-from kvision.augmentation.engine.passes import Joined, Running, plan_steps
+from kvision.augmentation.engine.passes import Alone, Joined, Running, Step, plan_steps
 from kvision.augmentation.engine.record import Child, Record
 from kvision.augmentation.engine.runs import Call, RunPlan, decides, plan_run, runs_of
-from kvision.augmentation.engine.stages import Chain
+from kvision.augmentation.engine.stages import Chain, Stage
 from kvision.augmentation.keys import Keys
+from kvision.augmentation.noise import PixelNoise
 from kvision.augmentation.transforms import Transform
 from kvision.augmentation.warp_and_color_list import warp_and_color_list, warp_and_color_to_list
-from kvision.geometry.transform.lists.arguments import like_batch
+from kvision.geometry.transform.lists.arguments import like_batch, row
 from kvision.geometry.transform.lists.arguments import sizes as sides_of
 
 Size = tuple[int, ...]
@@ -186,10 +187,11 @@ def _make_plan(
     run, _ = plan_run(like, modules, context, position, sized.bound)
     if len(run.draws) > 1 or any(draws.learned is not None for draws in run.draws):
         return None
-    passes = [step for step in run.steps if isinstance(step, Joined)]
-    if len(passes) < len(run.steps):
+    if not all(_takes_list(step, modules, like.dtype) for step in run.steps):
         return None
-    steps = next((i + 1 for i, step in enumerate(passes) if has_one_size and own in step.geometric), len(passes))
+    steps = len(run.steps)
+    if has_one_size:
+        steps = 1 + next(i for i, step in enumerate(run.steps) if isinstance(step, Joined) and own in step.geometric)
     if context.output.memory_format is not None and not has_one_size:
         return None
     numbers = SizedNumbers.of(sized.numbers) if sized.draws or sized.count else None
@@ -203,9 +205,10 @@ def _make_plan(
     if draws is not None and (_count_draws(draws) > MAX_DRAWS or len(draws.numbers) > MAX_NUMBERS):
         return None
     drawn = None
-    if draws is not None and passes and (steps > 1 or not has_one_size):
+    first = run.steps[0] if run.steps else None
+    if draws is not None and isinstance(first, Joined) and (steps > 1 or not has_one_size):
         linear = torch.empty(3, 0, dtype=torch.float64, device="cpu") if numbers is None else numbers.linear()
-        drawn = DrawnListPass(draws, listed, linear, passes[0].image_pass, like.shape, like.dtype)
+        drawn = DrawnListPass(draws, listed, linear, first.image_pass, like.shape, like.dtype)
     return _ListPlan(run, steps, has_one_size, draws, listed, numbers, drawn)
 
 
@@ -220,6 +223,16 @@ def _number_of_own_size(modules: Sequence[Any], batch: int, channels: int) -> in
         if tuple(tuple(shape[2:]) for shape in shapes) != SIZES:
             return None
     return len(modules)
+
+
+def _takes_list(step: Step, modules: Sequence[Any], dtype: torch.dtype) -> bool:
+    """Whether a step, of those of a run on images of a type, is one operator on the images of a list."""
+    if not isinstance(step, Alone):
+        return isinstance(step, Joined)
+    for module in modules[: step.number]:
+        dtype = module._result_dtype(dtype)
+    takes: bool = modules[step.number]._operates_on(dtype)
+    return takes
 
 
 def _count_draws(draws: DrawPlan | None) -> int:
@@ -266,6 +279,7 @@ class _Call:
     context: CallContext
     plan: _ListPlan
     columns: Tensor | None
+    keys: Keys | None
     like: Tensor  # of the type and device of the images
     shape: tuple[int, int]  # (B, C)
     _sides: Any  # height and width of each image, or a tensor of them
@@ -276,8 +290,16 @@ class _Call:
             self._sides = self._sides.flatten().tolist()
         return self._sides
 
+    @cached_property
+    def _has_noise(self) -> bool:
+        """Whether pixels have numbers of their own, which depend on the number of their image."""
+        drawing = self.plan.run.drawing
+        return any(m._param_generator is not None and m._param_generator.per_pixel for m in drawing)
+
     def rows(self) -> list[list[int]]:
-        """The numbers of the images of each size."""
+        """The numbers of the images of each size; of one by one where these tell their pixels' noise apart."""
+        if self._has_noise:
+            return [[i] for i in range(self.shape[0])]
         by_size: dict[Size, list[int]] = {}
         for i, size in enumerate(zip(self.sides[::2], self.sides[1::2])):
             by_size.setdefault(size, []).append(i)
@@ -294,16 +316,30 @@ class _Call:
             own = None if number is None or span is None or columns is None else Columns(columns, span)
             execution = Execution(shape, own, applied=applies, is_certain=is_certain)
             execution.identity = matrix_type(self.like)
+            if self._has_noise and number is not None and self.keys is not None:
+                execution.noise = self._noise(module, self.plan.run.first + number, first)
             executions.append(execution)
             shape = module.output_shape(shape, module.flags) if applies else shape
         steps = plan_steps(self.modules, executions, self.context.once, self.like.dtype, self.context.output)
         running = Running(self.modules, executions, columns, self.context.has_labels)
-        passes = [step.replayed(self.like, running) for step in steps if isinstance(step, Joined)]
-        stages = [stage for stage in passes if stage is not None]
+        stages: list[Stage] = []
+        for step in steps:
+            if isinstance(step, Alone):
+                stages.append(running.applied(step.number))
+            elif isinstance(step, Joined) and (stage := step.replayed(self.like, running)) is not None:
+                stages.append(stage)
         children = [Child(*child, None, record) for child, record in zip(zip(self.names, self.modules), executions)]
         record = Record(of_images, children, Chain(stages))
         record.size, record.identity = shape[2:], matrix_type(self.like)
         return record
+
+    def _noise(self, module: Any, number: int, image: int) -> PixelNoise:
+        """The source of the noise of an augmentation in an image."""
+        keys = self.keys
+        assert keys is not None
+        if keys.seeds is not None:
+            keys = keys._replace(seeds=row(keys.seeds, image))
+        return PixelNoise(keys, number, module.same_on_batch, self.like.device, first=image)
 
 
 class ListParts(Parts):
@@ -355,10 +391,19 @@ def run_list(images: list[Tensor], children: Sequence[Child], context: CallConte
     if plan is None:
         return None
     like = like_batch(images)
-    y, columns, sides = _execute(images, modules, context, plan, like)
+    y, columns, keys, sides = _execute(images, modules, context, plan, like)
     names = [child.name for child in children]
     call = _Call(
-        context.op, modules, names, context, plan, columns, like.new_empty(0), (len(images), first.shape[0]), sides
+        context.op,
+        modules,
+        names,
+        context,
+        plan,
+        columns,
+        keys,
+        like.new_empty(0),
+        (len(images), first.shape[0]),
+        sides,
     )
     parts = ListParts(call)
     for i, module in enumerate(modules):
@@ -368,8 +413,8 @@ def run_list(images: list[Tensor], children: Sequence[Child], context: CallConte
 
 def _execute(
     images: list[Tensor], modules: Sequence[Any], context: CallContext, plan: _ListPlan, like: Tensor
-) -> tuple[Any, Tensor | None, Any]:
-    """The results, the drawn columns, and the heights and widths."""
+) -> tuple[Any, Tensor | None, Keys | None, Any]:
+    """The results, the drawn columns, their keys, and the heights and widths."""
     run, columns, drawn, keys = plan.run, None, None, None
     if plan.draws is not None:
         keys = context.keys(run.drawing, like) if run.drawing else Keys(torch.zeros(1, dtype=torch.int64, device="cpu"))
@@ -383,18 +428,22 @@ def _execute(
         sides = sides_of(images)  # which checks them
         if plan.draws is not None and keys is not None:
             columns = _draw(plan, plan.draws, like, keys, sides)
-    executions = run.executions(like, columns, keys) if len(run.steps) > plan.steps else []
+    needs_executions = len(run.steps) > plan.steps or any(isinstance(step, Alone) for step in run.steps)
+    executions = run.executions(like, columns, keys) if needs_executions else []
     running = Running(modules, executions, columns, context.has_labels)
     for i, step in enumerate(run.steps):
-        assert isinstance(step, Joined)
         if i == 0 and drawn is not None:
             continue
         if i >= plan.steps:  # of a batch
             x, _ = step.run(x, running)
             continue
+        if isinstance(step, Alone):
+            x = modules[step.number]._run_list(x, executions[step.number])
+            continue
+        assert isinstance(step, Joined)
         columns_of, fill, size, *rest = step.image_pass.arguments(like_batch(x), columns)
         if plan.has_one_size and i == plan.steps - 1:
             x, *_ = warp_and_color_list(x, columns_of, fill, size, *rest)
         else:
             x = list(warp_and_color_to_list(x, columns_of, fill, len(size) > 0, *rest)[: len(images)])
-    return x, columns, sides
+    return x, columns, keys, sides

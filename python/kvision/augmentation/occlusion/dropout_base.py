@@ -16,6 +16,7 @@ from kvision.augmentation.engine import Execution, Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
 from kvision.augmentation.ranges import Numbers
 from kvision.core.exceptions import ShapeError
+from kvision.geometry.transform.lists.kept_sizes import Operation
 
 
 class DropoutBase(IntensityAugmentationBase2D, keeps_contract=True):
@@ -84,6 +85,8 @@ class ErasingDropout(DropoutBase, keeps_contract=True):
     ) -> Tensor:
         if isinstance(self.fill, str):
             return super().apply_transform(input, params, flags, transform)
-        parts, values = self._parts(params, tuple(input.shape), input.device), self._values(input, params)
-        y: Tensor = self.eraser(input, parts, values[:, :, 0, 0])
-        return y
+        return self._operation(input, params)(input)
+
+    def _operation(self, like: Tensor, params: Params) -> Operation:
+        parts, values = self._parts(params, tuple(like.shape), like.device), self._values(like, params)
+        return Operation(self.eraser, (parts, values[:, :, 0, 0]))

@@ -32,13 +32,14 @@ struct PassResults {
   std::optional<Tensor> matrix, means;
 };
 
-// A batch, or a list of images that the warp gives one size: then `like` is a batch of as many, of the first one's size
-// and layout.
+// A batch; or pieces of it, copies of which it is made at first; or a list of images that the warp gives one size: then
+// `like` is a batch of as many, of the first one's size and layout.
 struct PassImages {
   Tensor like;
   Tensors const* list = nullptr;
+  std::optional<Tensor> pieces;
 
-  PassImages(Tensor const& batch) : like(batch) {}
+  PassImages(Tensor const& batch, std::optional<Tensor> const& pieces = {}) : like(batch), pieces(pieces) {}
   PassImages(char const* op, Tensors const& list) : like((check_image_list(op, "images", list), list[0])), list(&list) {
     Tensor const& x = list[0];
     like =

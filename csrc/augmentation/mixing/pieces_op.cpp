@@ -1,8 +1,7 @@
 // Images made of pieces: schemas and entries, for CPU and CUDA.
 #include <algorithm>
 
-#include "augmentation/mixing/pieces.h"
-#include "glue/glue.h"
+#include "augmentation/mixing/pieces_glue.h"
 
 namespace kv::augmentation {
 namespace {
@@ -15,17 +14,14 @@ PastePieces<T> paste_parameters(Tensor const& x, Tensor const& y, Tensor const& 
           int(pieces.size(1)),
           x.size(0),
           layout == Layout::channels_last ? 1 : x.size(1),
-          pieces.size(0) > 1 ? pieces.size(1) * kPieceNumbers : 0};
+          stride_of_pieces(pieces)};
 }
 
 // Images (B, C, H, W), pieces (B, N, 9); run(x, y, pieces, layout) writes y (B, C, h, w).
 template <class Run>
 Tensor paste(char const* op, Tensor const& images, Tensor const& pieces, std::vector<int64_t> const& size, Run run) {
   check_images(op, "images", images);
-  KV_CHECK(pieces.dim() == 3 && pieces.size(2) == kPieceNumbers &&
-               (pieces.size(0) == images.size(0) || pieces.size(0) == 1) && pieces.scalar_type() == ScalarType::Float &&
-               pieces.device() == images.device() && pieces.size(1) <= INT32_MAX,
-           op, ": expected float32 pieces of shape (B, N, ", kPieceNumbers, ") on the device of images");
+  check_pieces(op, images, pieces);
   KV_CHECK(size.size() == 2 && size[0] >= 0 && size[1] >= 0, op, ": expected a size of two numbers");
 #if defined(KV_CUDA)
   KV_CHECK(pieces.size(1) <= kMaxPieces, op, ": expected at most ", kMaxPieces, " pieces, got ", pieces.size(1));
@@ -40,7 +36,16 @@ Tensor paste(char const* op, Tensor const& images, Tensor const& pieces, std::ve
   return y;
 }
 
-Tensor paste_pieces(Tensor const& images, Tensor const& pieces, std::vector<int64_t> const& size) {
+}  // namespace
+
+void check_pieces(char const* op, Tensor const& images, Tensor const& pieces) {
+  KV_CHECK(pieces.dim() == 3 && pieces.size(2) == kPieceNumbers &&
+               (pieces.size(0) == images.size(0) || pieces.size(0) == 1) && pieces.scalar_type() == ScalarType::Float &&
+               pieces.device() == images.device() && pieces.size(1) <= INT32_MAX,
+           op, ": expected float32 pieces of shape (B, N, ", kPieceNumbers, ") on the device of images");
+}
+
+Tensor pasted(Tensor const& images, Tensor const& pieces, std::vector<int64_t> const& size) {
   constexpr char const* op = "paste_pieces";
   return paste(op, images, pieces, size, [](Tensor const& x, Tensor const& y, Tensor const& pieces, Layout layout) {
     dispatch_floating_and_uint8(op, x, [&]<class T>(Type<T>) {
@@ -48,6 +53,12 @@ Tensor paste_pieces(Tensor const& images, Tensor const& pieces, std::vector<int6
       KV_RUN(paste_pieces, x, params, params.y.rows(), params.y.row_size());
     });
   });
+}
+
+namespace {
+
+Tensor paste_pieces(Tensor const& images, Tensor const& pieces, std::vector<int64_t> const& size) {
+  return pasted(images, pieces, size);
 }
 
 Tensor paste_pieces_backward(Tensor const& grad, Tensor const& pieces, std::vector<int64_t> const& size) {

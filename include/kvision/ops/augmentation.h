@@ -172,6 +172,10 @@ inline constexpr Operator<"transform_matrix", Tensor(Tensor columns, Ints plan, 
 inline constexpr Operator<"warp_and_color", Three(Tensor image, OptionalTensor columns, OptionalTensor fill, Ints size,
                                                   Ints plan, Floats numbers)>
     warp_and_color{detail::rules::warp_and_color};
+// The result and the matrices for images that are copies of pieces (B, N, 9) of the images of a batch, of their size.
+inline constexpr Operator<"warp_and_color_pieces", Two(Tensor image, Tensor pieces, OptionalTensor columns,
+                                                       OptionalTensor fill, Ints size, Ints plan, Floats numbers)>
+    warp_and_color_pieces{no_gradient};
 
 // --- rules
 

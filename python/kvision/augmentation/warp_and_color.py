@@ -15,7 +15,7 @@ from torch import Tensor
 
 from kvision._dtype import compute_dtype
 from kvision._modes import INTERPOLATION, PADDING
-from kvision._ops import register
+from kvision._ops import FastPath, register
 from kvision.augmentation import transforms
 from kvision.augmentation.columns import Column, Input, Names, bind, split_inputs
 from kvision.augmentation.transforms import MAX_TRANSFORMS, Transform
@@ -289,6 +289,10 @@ _warp_and_color_backward = register(
     nondeterministic=_adds_by_atomics,
 )
 
+# The result and the matrices for images that are copies of pieces of a batch (mixing/pieces.py): the batch, the pieces, and the
+# arguments of `warp_and_color` behind the images.
+_on_pieces = FastPath("warp_and_color_pieces", (torch.float32, torch.float16, torch.bfloat16, torch.uint8))
+
 # --- passes ---------------------------------------------------------------------------------------------------------
 
 
@@ -433,8 +437,18 @@ class Pass(NamedTuple):
         """Whether a color step clamps."""
         return _plan_clamps(self.plan, self.numbers)
 
-    def run(self, x: Tensor, columns: Tensor | None) -> tuple[Tensor, Tensor]:
-        """The result, and the matrices (B, 3, 3) of the warp, which do not carry gradients."""
+    def reads_pieces(self, x: Tensor) -> bool:
+        """Whether `run` takes pieces of images x."""
+        return self.warps and x.dim() == 4 and _on_pieces.serves(x) and _supports(x, None, None, (), self.plan) is None
+
+    def run(self, x: Tensor, columns: Tensor | None, pieces: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """The result, and the matrices (B, 3, 3) of the warp, which do not carry gradients.
+
+        With `pieces` (B, N, 9) the images are copies of these pieces of x, as `paste_pieces` makes them, in the size of x.
+        """
+        if pieces is not None:
+            y, matrix = _on_pieces.kernel(x, pieces, *self.arguments(x, columns))
+            return y, matrix
         if x.dim() == 5:  # a volume, whose slices are those of one high image
             y, matrix = self.run(x.flatten(2, 3), columns)
             return y.unflatten(2, x.shape[2:4]), matrix

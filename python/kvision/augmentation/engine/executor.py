@@ -340,6 +340,10 @@ class Executor(Declaration):
         self.__dict__["_execution"] = execution
         return y, execution
 
+    def _copied_pieces(self, execution: Execution) -> Tensor | None:
+        """The pieces of images of which the results are copies, of the same size; None for all but some that mix samples."""
+        return None
+
     def _run(self, x: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
         """Execute on images (B, C, H, W): by the methods that users override."""
         if not execution.applied:

@@ -42,6 +42,7 @@ class Running:
     # Of the first step, where a kernel computed it with the draws:
     result: tuple[Tensor, Tensor | None] | None = None  # images, and matrices of a pass
     links: Sequence[Tensor] | None = None  # of a composition
+    pieces: Tensor | None = None  # of the images, copies of which the next step reads
 
     def parts(self, numbers: Sequence[int]) -> Sequence[Stage]:
         """Augmentations that are one step by themselves, where one of them removes boxes."""
@@ -58,9 +59,14 @@ class Alone(NamedTuple):
     """An augmentation that runs by itself."""
 
     number: int  # in the run
+    read_by: Pass | None = None  # the pass behind it, which may read pieces of images where these are
 
     def run(self, x: Tensor, running: Running) -> tuple[Tensor, Stage | None]:
         applied = running.applied(self.number)
+        if self.read_by is not None and self.read_by.reads_pieces(x):
+            running.pieces = applied.module._copied_pieces(applied.execution)
+            if running.pieces is not None:
+                return x, applied
         applied.execution.keeps_map = running.has_labels
         y = running.result[0] if running.result else applied.module._run(x, applied.execution, applied.flags)
         running.result = None
@@ -81,8 +87,10 @@ class Joined(NamedTuple):
     resampling: Resampling | None
 
     def run(self, x: Tensor, running: Running) -> tuple[Tensor, Stage | None]:
-        y, matrix = self.image_pass.run(x, running.columns) if running.result is None else running.result
-        running.result = None
+        if running.result is None:
+            running.result = self.image_pass.run(x, running.columns, running.pieces)
+        y, matrix = running.result
+        running.result = running.pieces = None
         return y, self.stage(x, matrix, running)
 
     def replayed(self, like: Tensor, running: Running) -> Stage | None:
@@ -298,6 +306,8 @@ class _Planner:
         source, size, resampling = _sizes_and_resampling(geometric)
         chain = _chain(geometric)
         image_pass = make_pass(chain, size, resampling, parts, output)
+        if self.steps and isinstance(self.steps[-1], Alone):
+            self.steps[-1] = self.steps[-1]._replace(read_by=image_pass)
         self.steps.append(Joined(image_pass, [g.number for g in geometric], chain, source, size, resampling))
 
     def _compose(self, geometric: Sequence[_Geometric]) -> None:

@@ -240,6 +240,10 @@ class MixAugmentationBaseV2(AugmentationBase2D, keeps_contract=True):
         pieces: Tensor = mix_pieces(columns.drawn, [MIX_KIND[kind], span.first_value, chosen, count, *sizes], numbers)
         return pieces
 
+    def _copied_pieces(self, execution: Execution) -> Tensor | None:
+        has_size = self._output_size(execution.shape) == list(execution.shape[-2:])
+        return self._drawn_pieces(execution) if execution.applied and has_size else None
+
     def _mix_plan(self, shape: Sequence[int]) -> tuple[str, int, tuple[int, int], list[float]] | None:
         """The kind of `MIX_KIND`, how many pieces, rows and columns, and numbers; None for classes without pieces."""
         return None
@@ -386,6 +390,9 @@ class RandomMixUpV2(MixAugmentationBaseV2, keeps_contract=True):
         size = list(input.shape[-2:])
         mixed: Tensor = paste_pieces(input, mixup_pieces(pairs, weights, *size), size)
         return mixed
+
+    def _copied_pieces(self, execution: Execution) -> None:
+        return None  # which have weights
 
     def _mix_plan(self, shape: Sequence[int]) -> tuple[str, int, tuple[int, int], list[float]]:
         return "mixup", 1, (1, 1), [0.0, 0.0]

@@ -1,9 +1,9 @@
-// Separable filters of small windows over images of half types whose rows are not aligned, on CUDA: threads go down
-// groups of columns (filters/column_groups.cuh) with running sums of the rows whose windows are not complete. Included
-// by separable_float16.cu and separable_bfloat16.cu.
+// Separable filters of small windows over planar images of bytes, and of half types whose rows are not aligned, on
+// CUDA: threads go down groups of columns (core/stencils/column_groups.cuh) with running sums of the rows whose windows
+// are not complete.
 #pragma once
 
-#include "column_groups.cuh"
+#include "core/stencils/column_groups.cuh"
 #include "separable_strip.cuh"
 
 namespace kv::filters::cuda {
@@ -28,9 +28,9 @@ __device__ __forceinline__ void load_weights(Taps<float> const& taps, int64_t sa
 }
 
 constexpr int kLargestOfGroups = 11;  // window
-template <int K>
-constexpr bool kHasGroups = K <= 5 || K == kLargestOfGroups;  // whether they are faster than strips
-constexpr int kAhead = 2;                                     // rows in flight
+template <class T, int K>
+constexpr bool kHasGroups = K <= 5 || (K == kLargestOfGroups && sizeof(T) == 2);  // whether they are faster than strips
+constexpr int kAhead = 2;                                                         // rows in flight
 // Rows and threads of a block, and how many blocks a multiprocessor must hold.
 template <int K>
 constexpr int kGroupRows = K <= 5 ? 32 : 64;
@@ -39,7 +39,7 @@ constexpr int kGroupThreads = K <= 5 ? 256 : 128;
 template <int K>
 constexpr int kGroupBlocks = K <= 5 ? 2 : 3;
 
-template <class T, int K, int P>
+template <class T, int K, int P, int Bytes>
 __global__ void __launch_bounds__(kGroupThreads<K>, kGroupBlocks<K>)
     separable_groups(__grid_constant__ Separable<T> const p,
                      __grid_constant__ ColumnGroups<P, kGroupThreads<K>> const groups, float divisor) {
@@ -47,9 +47,9 @@ __global__ void __launch_bounds__(kGroupThreads<K>, kGroupBlocks<K>)
   int64_t plane;
   int x, y0;
   groups.locate(plane, x, y0);
-  using Rows = GroupRows<T, P, R>;
+  using Rows = GroupRows<T, P, R, Bytes>;
   Rows const rows(p.x, plane, x, p.border);
-  GroupStore<T, P, 0> out(p.y, plane, x, y0);
+  GroupStore<T, P, Bytes> out(p.y, plane, x, y0);
   int const height = int(p.x.height), y1 = min(y0 + groups.rows, height);
   auto const fetch = [&](int y) {
     int const source = y < y1 + R ? border_index(p.border, y, height) : -1;
@@ -88,26 +88,36 @@ __global__ void __launch_bounds__(kGroupThreads<K>, kGroupBlocks<K>)
 #pragma unroll
         for (int j = 0; j < P; ++j) result[j] = quotient<T>(result[j], divisor, reciprocal);
       }
-      out.put(rounded<T>(result));
+      out.put(result);
     }
 }
 
-// Windows of `K` pixels and more: by groups where rows are not aligned and these serve images and window, or by strips.
+// Windows of `K` pixels and more: by groups where these serve images and window, or by strips.
 template <int K = 3, class T>
 int launch_strips_or_groups(Separable<T> const& p, float divisor, CUstream_st* stream) {
   if constexpr (K <= kLargestOfGroups) {
     if (p.kx.size != K) return launch_strips_or_groups<K + 2>(p, divisor, stream);
   }
-  if constexpr (kHasGroups<K>) {
+  if constexpr (kHasGroups<T, K>) {
     constexpr int P = kGroupPixels<T>, R = K / 2;
     bool const centered = p.kx.before == R && p.ky.before == R && p.y.step == 1;
     bool const same_size = p.x.width == p.y.width && p.x.height == p.y.height;
-    // Special case, H200: 1.13 (gauss3) to 1.42 (gauss5 of 299x299) times as fast as strips, half types at 335x513.
-    if (centered && same_size && p.border != Border::circular && supports_groups<P, R>(p.x) &&
-        bytes_of_rows<P>(p.x, p.y) == 0) {
-      ColumnGroups<P, kGroupThreads<K>> const groups(p.x.count(), p.x.height, p.x.width, kGroupRows<K>, R);
-      separable_groups<T, K, P><<<groups.blocks(), groups.threads, 0, stream>>>(p, groups, divisor);
-      return cudaGetLastError();
+    auto const launch = [&](auto bytes) {
+      constexpr int kBytes = decltype(bytes)::value;
+      ColumnGroups<P, kGroupThreads<K>> const groups(p.x.count(), p.x.height, p.x.width, kGroupRows<K>,
+                                                     GroupRows<T, P, R, kBytes>::kReach);
+      separable_groups<T, K, P, kBytes><<<groups.blocks(), groups.threads, 0, stream>>>(p, groups, divisor);
+      return int(cudaGetLastError());
+    };
+    if (centered && same_size && supports_groups<P, R>(p.x)) {
+      if constexpr (sizeof(T) == 1) {
+        // Special case, H200: 1.06 (gauss5 at 336x512) to 2.2 (gauss5 at 299x299) times as fast as strips, bytes.
+        return with_row_bytes<P>(launch, p.x, p.y);
+      } else {
+        // Special case, H200: 1.13 (gauss3) to 1.42 (gauss5 of 299x299) times as fast as strips, half types at 335x513.
+        if (p.border != Border::circular && bytes_of_rows<P>(p.x, p.y) == 0)
+          return launch(std::integral_constant<int, 0>{});
+      }
     }
   }
   return launch_strip_of_size<T, false>(p, divisor, stream);

@@ -1,7 +1,7 @@
 // Dilation and erosion of bytes on CUDA with centered windows of 3 x 3 pixels: threads go down groups of columns and
 // compare two pixels at a time, those two columns apart, as numbers of 16 bits.
-#include "core/column_groups.cuh"
-#include "core/pairs.cuh"
+#include "core/stencils/column_groups.cuh"
+#include "core/stencils/pairs.cuh"
 #include "dilation.cuh"
 
 namespace kv::morphology::cuda {

@@ -1,4 +1,4 @@
-"""Which images take the kernels of csrc/filters/column_groups.cuh. Every GPU has them."""
+"""Which images take the kernels of csrc/core/stencils/column_groups.cuh. Every GPU has them."""
 
 from __future__ import annotations
 

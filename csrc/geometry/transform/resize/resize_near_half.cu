@@ -1,7 +1,7 @@
 // pyrdown and antialiased bilinear resizing of half types by a factor near two on CUDA, where coordinates drift along a
 // row, so that windows are no constants (those of exactly two are in resize_octave.cu). A thread goes down a group of
-// four pixels of the result (filters/column_groups.cuh), whose windows begin at 2 j or 2 j + 1.
-#include "filters/column_groups.cuh"
+// four pixels of the result (core/stencils/column_groups.cuh), whose windows begin at 2 j or 2 j + 1.
+#include "core/stencils/column_groups.cuh"
 #include "geometry/transform/resize/resize.h"
 
 namespace kv::geometry::cuda {

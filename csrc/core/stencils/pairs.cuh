@@ -1,8 +1,8 @@
 // Two numbers of 16 bits that are compared at once, on CUDA. Included by *.cu files of filters and of morphology.
 #pragma once
 
-#include "launch.cuh"
-#include "nan_min_max.cuh"
+#include "core/launch.cuh"
+#include "core/nan_min_max.cuh"
 
 namespace kv {
 namespace {

@@ -9,7 +9,7 @@
 // row ends. The last group of a row ends with it, and overlaps the one before. Included by *.cu files.
 #pragma once
 
-#include "launch.cuh"
+#include "core/launch.cuh"
 
 namespace kv {
 
@@ -59,26 +59,33 @@ bool supports_groups(Planes<T> const& x) {
          x.row_stride * int64_t(kSize) <= INT32_MAX && x.width <= INT32_MAX / 2;
 }
 
-// Calls f with the bytes that rows of the images are multiples of, and begin at, as a constant: those of a group of P
-// pixels, 8, or 0 for any. float64 has the last form only, which serves all images.
-template <int P, class F, class T, class... More>
-void with_row_bytes(F f, Planes<T> const& first, Planes<More> const&... more) {
+// The bytes that rows of the images are multiples of, and begin at: those of a group of P pixels, 8, or 0 for any. It
+// is 0 for float64.
+template <int P, class T, class... More>
+int bytes_of_rows(Planes<T> const& first, Planes<More> const&... more) {
   constexpr int64_t kSize = sizeof(T), kGroup = P * kSize;
   auto const bits = [](auto const& p) {
     return int64_t(reinterpret_cast<uintptr_t>(p.data)) |
            (p.outer_stride | p.inner_stride | p.row_stride | p.width) * kSize;
   };
   int64_t const all = (bits(first) | ... | bits(more));
+  return kGroup <= 16 && all % kGroup == 0 ? int(kGroup) : kGroup > 8 && kGroup <= 16 && all % 8 == 0 ? 8 : 0;
+}
+// Calls f with them as a constant.
+template <int P, class F, class T, class... More>
+auto with_row_bytes(F f, Planes<T> const& first, Planes<More> const&... more) {
+  constexpr int kGroup = P * int(sizeof(T));
+  int const bytes = bytes_of_rows<P>(first, more...);
   if constexpr (kGroup <= 16) {
-    if (all % kGroup == 0) return f(std::integral_constant<int, int(kGroup)>{});
+    if (bytes == kGroup) return f(std::integral_constant<int, kGroup>{});
     if constexpr (kGroup > 8)
-      if (all % 8 == 0) return f(std::integral_constant<int, 8>{});
+      if (bytes == 8) return f(std::integral_constant<int, 8>{});
   }
-  f(std::integral_constant<int, 0>{});
+  return f(std::integral_constant<int, 0>{});
 }
 
-// Reads rows of a thread's group: P pixels and R on either side. `Bytes` are those of with_row_bytes.
-template <class T, int P, int R, int Bytes>
+// Reads rows of a thread's group: P pixels and R on either side. `Bytes` are those of bytes_of_rows.
+template <class T, int P, int R, int Bytes = 0>
 struct GroupRows {
   static constexpr int kPerWord = kv::kPerWord<T>;
   static constexpr bool kShifted = Bytes == 0 && kPerWord > 1;
@@ -88,7 +95,7 @@ struct GroupRows {
   static constexpr int kPacked = (kPixels + kSkip + kPerWord - 1) / kPerWord;
   // Of ColumnGroups: groups begin at multiples of `Bytes`.
   static constexpr int kReach = Bytes > 0 ? (R* int(sizeof(T)) + Bytes - 1) / Bytes* Bytes / int(sizeof(T)) : R;
-  static_assert(kReach <= P && kSide <= kOwn);
+  static_assert(Bytes == 0 || (kReach <= P && kSide <= kOwn));
   using Word = std::conditional_t<sizeof(T) == 8, uint64_t, uint32_t>;
 
   T const* const from;  // the first pixel of the group in the plane's first row

@@ -70,7 +70,7 @@ class RandomRain(IntensityAugmentationBase2D, keeps_contract=True):
         drops = torch.stack([params[name].to(input.device, torch.int64) for name in names], 1)
         positions = params["coordinates_factor"].to(input.device, torch.float32)
         wet = rain_mask(drops, positions, [height, width], longest)
-        return torch.where(wet.view(torch.bool), 200 / 255, input)
+        return torch.where(wet > 0, 200 / 255, input)
 
 
 class RandomSnow(IntensityAugmentationBase2D, keeps_contract=True):

@@ -68,8 +68,8 @@ Tensor sizes_of(Tensors const& images, Tensor const& like) {
 // The last results are heights and widths (B, 2), on the CPU: to ask each image takes Python longer than all else; and
 // the means of contrast, without which the columns stand for them.
 std::tuple<Tensor, Tensor, Tensor, Tensor, Tensor> draw_list_warp_and_color(Tensors const& list, Tensor const& keys,
-                                                                    std::optional<Tensor> const& seeds,
-                                                                    Tensor const& plan, Tensor const& numbers) {
+                                                                            std::optional<Tensor> const& seeds,
+                                                                            Tensor const& plan, Tensor const& numbers) {
   constexpr char const* op = "draw_list_warp_and_color";
   PassImages const images(op, list);
   PlanReader rest = read_plan(op, plan, numbers);

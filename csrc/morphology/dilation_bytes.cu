@@ -146,7 +146,7 @@ bool launch(Dilation<uint8_t> const& p, CUstream_st* stream) {
 
 }  // namespace
 
-// Special case, H200: 3.7 (335x513) to 11 (336x512) times as fast as the kernel of float32 with conversions.
+// Special case, H200: 6.7 (299x299) to 15 (336x512) times as fast as the kernel of float32 with conversions.
 bool dilation_3x3_of_bytes(Dilation<uint8_t> const& p, CUstream_st* stream) {
   return launch<16>(p, stream) || launch<8>(p, stream);
 }

@@ -42,6 +42,10 @@ def _form(plan: Sequence[int]) -> int:
     return plan[4] if len(plan) > 4 else 0
 
 
+def _first_sample(plan: Sequence[int]) -> int:
+    return plan[5] if len(plan) > 5 else 0
+
+
 def _words(
     images: Tensor, planes: int, keys: Tensor, seeds: Tensor | None, plan: Sequence[int]
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
@@ -49,8 +53,7 @@ def _words(
     batch, device = images.shape[0], images.device
     index, position, draw, same = plan[:4]
     key = keys.to(device)[index].expand(batch) if seeds is None else seeds.expand(batch)
-    first = plan[5] if len(plan) > 5 else 0
-    sample = torch.arange(first, first + batch, device=device)
+    sample = _first_sample(plan) + torch.arange(batch, device=device)
     sample = torch.zeros_like(sample) if same or seeds is not None else sample
     blocks = (images.shape[2] * images.shape[3] + 3) // 4
     block = torch.arange(planes * blocks, device=device)
@@ -303,8 +306,8 @@ def _of_sample(
     b: int, parameters: Tensor, keys: Tensor, seeds: Tensor | None, chosen: Tensor | None, plan: Sequence[int]
 ) -> tuple[Any, ...]:
     """The arguments of an image of a list, by its number."""
-    first = plan[5] if len(plan) > 5 else 0
-    return row(parameters, b), keys, row(seeds, b), row(chosen, b), [*plan[:4], _form(plan), first + b]
+    own = [*plan[:4], _form(plan), _first_sample(plan) + b]
+    return row(parameters, b), keys, row(seeds, b), row(chosen, b), own
 
 
 def _salt_and_pepper_gradients(needs: Sequence[bool], grad: Tensor, images: Tensor, *args: Any) -> list[Tensor | None]:

@@ -7,6 +7,7 @@ from torch import Tensor
 
 from kvision._clamp import clamp
 from kvision._dtype import compute_dtype
+from kvision._limits import LUMA
 from kvision._ops import match_layout, register
 
 
@@ -19,8 +20,8 @@ def _reference(images: Tensor, flakes: Tensor, weight: float) -> Tensor:
     x = images.float() / 255 if is_bytes else images.to(compute_dtype(images))
     gray = x.mean(1, keepdim=True)
     if x.shape[1] == 3:
-        red, green, blue = x.split(1, 1)
-        gray = 0.299 * red + 0.587 * green + 0.114 * blue
+        red, green, blue = (weight * channel for weight, channel in zip(LUMA, x.split(1, 1)))
+        gray = red + green + blue
     bright = torch.maximum(x, torch.lerp(gray * 1.5 + 0.5, x, weight))
     snow = (flakes * 255).round() / 255
     y = clamp(clamp(bright, 0, 1) + snow + snow.flip(2, 3), 0, 1)

@@ -191,9 +191,9 @@ class Executor(Declaration):
 
     def _pixel_noise(self, execution: Execution, redraw: tuple[Keys, int] | None, device: torch.device) -> PixelNoise:
         """The source of the numbers of pixels."""
-        if redraw is None or execution.noise is not None:
-            assert execution.noise is not None
+        if execution.noise is not None:
             return execution.noise._replace(device=device)
+        assert redraw is not None
         return PixelNoise(*redraw, self.same_on_batch, device)
 
     def _pixel_params(self, values: Tensor, execution: Execution, noise: PixelNoise) -> Params:

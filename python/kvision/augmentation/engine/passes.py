@@ -87,9 +87,7 @@ class Joined(NamedTuple):
     resampling: Resampling | None
 
     def run(self, x: Tensor, running: Running) -> tuple[Tensor, Stage | None]:
-        if running.result is None:
-            running.result = self.image_pass.run(x, running.columns, running.pieces)
-        y, matrix = running.result
+        y, matrix = running.result or self.image_pass.run(x, running.columns, running.pieces)
         running.result = running.pieces = None
         return y, self.stage(x, matrix, running)
 

@@ -297,9 +297,13 @@ struct alignas(16) Normalization {
 };
 __device__ __forceinline__ Vector<float, 2> rounded_pair(float a, float b, float) { return {a, b}; }
 __device__ __forceinline__ uint32_t rounded_pair(float a, float b, BFloat16) {
+#if defined(__CUDA_ARCH__) && __CUDA_ARCH__ < 800
+  return to_bfloat16(a).bits | uint32_t(to_bfloat16(b).bits) << 16;
+#else
   uint32_t both;
   asm("cvt.rn.bf16x2.f32 %0, %1, %2;" : "=r"(both) : "f"(b), "f"(a));
   return both;
+#endif
 }
 
 template <class U, int Steps>

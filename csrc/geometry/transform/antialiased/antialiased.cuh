@@ -148,7 +148,7 @@ __device__ __forceinline__ F weight_of(Footprint<F> const& f, F dx, F dy) {
 // Calls run with how many threads a pixel gets, as a type, by the widest of a warp's windows.
 template <class F, class Run>
 __device__ __forceinline__ void dispatch_across(CoveredPixel<F> const& own, Run run) {
-  int const widest = int(__reduce_max_sync(kAllLanes, unsigned(own.taps.last_x - own.taps.first_x + 1)));
+  int const widest = warp_reduce(own.taps.last_x - own.taps.first_x + 1, Max{});
   if (widest <= 2)
     run(std::integral_constant<int, 1>{});
   else if (widest <= 4)

@@ -157,6 +157,29 @@ def names_of_samples(augment: Any, x: Tensor) -> list[list[str]]:
     return names
 
 
+OF_ONE_TYPE: dict[str, Callable[..., Any]] = {
+    "OneOf": lambda *children: A.OneOf(*children),
+    "SomeOf": lambda *children: A.SomeOf(*children, n=(0, 2)),
+    "RandomApply": lambda child, _: A.RandomApply(child),
+    "random_apply": lambda *children: A.ImageSequential(*children, random_apply=1),
+    "cells": lambda *children: A.PatchSequential(*children, grid_size=(2, 2), random_apply=(0, 2)),
+    "inside": lambda *children: A.ImageSequential(A.RandomHorizontalFlip(), A.OneOf(*children)),
+}
+
+
+@pytest.mark.parametrize("name", OF_ONE_TYPE)
+def test_types_do_not_depend_on_what_is_drawn(name: str, device: torch.device) -> None:
+    """Neither of one sample, as a worker of a loader augments, nor of a list, nor with seeds of samples."""
+    x = images(device, 1, torch.uint8)
+    halves = A.ImageSequential(A.RandomInvert(p=1.0), output_dtype=torch.float16)
+    for child, dtype in ((A.Normalize(0.0, 1.0), torch.float32), (halves, torch.float32), (A.RandomInvert(), x.dtype)):
+        augment = OF_ONE_TYPE[name](child, A.RandomVerticalFlip(p=1.0))
+        for i in range(8):
+            for seed in (None, i, torch.tensor([i], device=device)):
+                for y in (augment(x, seed=seed), augment(list(x), seed=seed)[0]):
+                    assert y.dtype == dtype and (dtype == torch.uint8 or y.max() <= 1)
+
+
 def test_frequencies() -> None:
     """Weights of OneOf; all subsets, orders and numbers of the others alike."""
     x, n = torch.zeros(3000, 1, 1, 1), 3000

@@ -26,6 +26,7 @@ from kvision.augmentation.engine.list_calls import SIZES, Parts, Sizes, call_in_
 from kvision.augmentation.engine.list_runs import run_list
 from kvision.augmentation.engine.lists import list_plan
 from kvision.augmentation.engine.record import Child, ParamItem, Record, child_of, item_of
+from kvision.augmentation.engine.result_types import common_dtype, in_wider_type, result_dtype
 from kvision.augmentation.engine.runs import execute, images_of
 from kvision.augmentation.engine.stages import (
     KNOWN,
@@ -63,6 +64,7 @@ from kvision.augmentation.warp_and_color import SAME, Output
 from kvision.color.frames import Frames
 from kvision.constants import DataKey
 from kvision.core.exceptions import TypeCheckError, ValueCheckError
+from kvision.core.pixels import to_unit
 
 __all__ = ["ImageSequential", "ImageSequentialBase", "ParamItem"]
 
@@ -327,6 +329,30 @@ class ImageSequential(ImageSequentialBase):
         """Whether the container draws by itself, beside its children."""
         return self.random_apply is not None
 
+    def _result_dtype(self, dtype: torch.dtype) -> torch.dtype:
+        """The type of the results for images of a type."""
+        if self.output_dtype is not None:
+            return self.output_dtype
+        if self._draws_choices:
+            return self._type_of_choices(dtype)
+        for module in self.children():
+            dtype = result_dtype(module, dtype)
+        return dtype
+
+    def _type_of_choices(self, dtype: torch.dtype) -> torch.dtype:
+        """The type of what the children give for images of a type, the same whichever of them are drawn."""
+
+        def find() -> torch.dtype:
+            types = [result_dtype(module, dtype) for module in self.children()]
+            return common_dtype(types if self._always_chooses else [dtype, *types])
+
+        return self._plans.made(("type", dtype), find)
+
+    @property
+    def _always_chooses(self) -> bool:
+        """Whether each sample gets a child for certain, where children are drawn."""
+        return self.random_apply is not None and self.random_apply[0] > 0
+
     def _sizes_after(self, sizes: Sizes) -> Sizes | None:
         """What the children make of two sizes; None where it depends on more than these."""
         if self.random_apply is not None:
@@ -421,6 +447,12 @@ class ImageSequential(ImageSequentialBase):
 
     def _execute(self, x: Tensor, params: Sequence[ParamItem] | None, context: CallContext) -> tuple[Tensor, Record]:
         """Run the children on images (B, C, H, W); gives the images and what the call did."""
+        dtype = self._type_of_choices(x.dtype) if self._draws_choices else None
+        if dtype is not None and dtype != x.dtype == torch.uint8:  # for all samples, whichever gets that child
+            x, context = (
+                to_unit(x if context.source is None else images_of(context.source)),
+                context._replace(source=None),
+            )
         in_turns = self._in_turns(x, params, context)
         if in_turns is not None:
             turns, own = in_turns
@@ -430,6 +462,8 @@ class ImageSequential(ImageSequentialBase):
         else:
             children = self._children_of_call(params, context)
             y, stages = execute(x, children, context)
+        if dtype is not None and self.output_dtype is None:
+            y = in_wider_type(y, dtype)
         record = Record(tuple(x.shape) if isinstance(x, Tensor) else None, children, Chain(stages))
         record.size, record.is_of_list = tuple(y.shape[2:]), isinstance(x, list)
         record.identity = matrix_type(y)

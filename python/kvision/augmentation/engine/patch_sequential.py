@@ -16,6 +16,7 @@ from kvision.augmentation.engine.call_context import CallContext
 from kvision.augmentation.engine.image_sequential import ImageSequential, checked_items
 from kvision.augmentation.engine.list_calls import Sizes
 from kvision.augmentation.engine.record import AnyParamItem, Child, ParamItem, Record, item_of
+from kvision.augmentation.engine.result_types import in_wider_type
 from kvision.augmentation.engine.runs import execute
 from kvision.augmentation.engine.stages import Cells, Chain
 from kvision.augmentation.engine.turns import execute_turns
@@ -105,6 +106,13 @@ class PatchSequential(ImageSequential):
             )
         self.padding, self.patchwise_apply = padding, patchwise_apply
 
+    def _result_dtype(self, dtype: torch.dtype) -> torch.dtype:
+        return self._type_of_choices(dtype) if self.patchwise_apply else super()._result_dtype(dtype)
+
+    @property
+    def _always_chooses(self) -> bool:
+        return not self._draws_choices or super()._always_chooses  # a child of its own in each cell
+
     def _sizes_after(self, sizes: Sizes) -> Sizes | None:
         return sizes if self.padding == "same" else None
 
@@ -193,6 +201,9 @@ class PatchSequential(ImageSequential):
 
     def _execute(self, x: Tensor, params: Any, context: CallContext) -> tuple[Tensor, Record]:
         pad = self.compute_padding(x, self.padding)
+        dtype = self._result_dtype(x.dtype)
+        if dtype != x.dtype == torch.uint8 and self._draws_choices:  # in all cells, whichever gets that child
+            x = to_unit(x)
         cells = self._cells(x, pad)
         items = params if params is None else [item.param for item in checked_items("PatchSequential", params, "param")]
         in_turns = self._in_turns(range(len(cells) * len(x)), items, context)
@@ -211,8 +222,7 @@ class PatchSequential(ImageSequential):
         record = Record(tuple(x.shape), (), Chain([Cells()] if moves else []))
         record.cell_count = len(cells)
         record.cells, record.items = executed, None if params is None else list(params)
-        if any(cell.dtype != cells[0].dtype for cell in cells):  # some of bytes became floating point
-            cells = [to_unit(cell) for cell in cells]
+        cells = [in_wider_type(cell, dtype) for cell in cells]
         y = self.restore_from_patches(torch.stack(cells, 1), pad=pad)
         record.size = tuple(y.shape[2:])
         return y, record

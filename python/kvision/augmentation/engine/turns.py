@@ -23,7 +23,6 @@ from kvision.augmentation.engine.stages import Chain, MaskReading, Stage
 from kvision.augmentation.sample_rows import SampleRows, index_of, is_channels_last, read_rows
 from kvision.augmentation.warp_and_color import SAME
 from kvision.core.exceptions import ShapeError, ValueCheckError
-from kvision.core.pixels import to_unit
 
 # --- the plan -------------------------------------------------------------------------------------------------------
 
@@ -93,8 +92,6 @@ def execute_turns(x: Tensor, turns: Sequence[Turn], context: CallContext) -> tup
 
     Seeds of the context are those of neighboring rows of the batch, as many rows for each.
     """
-    if x.dtype == torch.uint8 and any(_leaves_bytes(child.module) for turn in turns for child in turn.children):
-        x = to_unit(x)  # for all batches, whoever wants that child
     if not x.is_contiguous() and not is_channels_last(x):
         x = x.contiguous()  # other strides would be those of some groups of samples and not of others
     rows, batch = SampleRows(x), len(x)
@@ -178,11 +175,6 @@ def _seed_of(seed: Any, rows: Sequence[int], batch: int) -> Any:
         return seed
     frames = batch // len(seed)
     return read_rows(seed, [row // frames for row in rows[::frames]])
-
-
-def _leaves_bytes(module: Any) -> bool:
-    own = (part for part in module.modules() if isinstance(part, AugmentationBase))
-    return any(part._result_dtype(torch.uint8) != torch.uint8 for part in own)
 
 
 # --- what labels follow ---------------------------------------------------------------------------------------------

@@ -157,6 +157,37 @@ def names_of_samples(augment: Any, x: Tensor) -> list[list[str]]:
     return names
 
 
+BY_LABELS: dict[str, Callable[..., list[nn.Module]]] = {
+    "crop in any order": lambda: [A.RandomOrder(A.RandomRotation(20.0), A.CropNonEmptyMaskIfExists(7, 8))],
+    "crop in a container": lambda: [
+        A.RandomOrder(A.RandomAffine(9.0), A.ImageSequential(A.CropNonEmptyMaskIfExists(7, 8)))
+    ],
+    "crop of boxes": lambda: [A.RandomOrder(A.RandomVerticalFlip(), A.RandomSizedBBoxSafeCrop(7, 8))],
+    "objects of some": lambda: [A.OneOf(A.MaskDropout(), A.RandomInvert())],
+    "objects that moved": lambda: [
+        A.RandomOrder(A.RandomRotation(20.0), A.MaskDropout()),
+        A.CropNonEmptyMaskIfExists(7, 8),
+    ],
+    "objects in a container": lambda: [A.OneOf(A.ImageSequential(A.MaskDropout(p=1.0)), A.RandomRotation(20.0, p=1.0))],
+}
+
+
+@pytest.mark.parametrize("name", BY_LABELS)
+def test_children_read_the_labels_of_their_samples(name: str, device: torch.device) -> None:
+    """Others may have another size by then."""
+    x, seeds = images(device), torch.arange(8, device=device)
+    masks = torch.zeros(8, 1, 16, 20, dtype=torch.uint8, device=device)
+    for i in range(8):
+        masks[i, :, 2 + i : 6 + i, i : i + 6] = 1
+    boxes = torch.tensor([[[3.0, 4.0, 9.0, 9.0]]], device=device).repeat(8, 1, 1)
+    augment = A.AugmentationSequential(*BY_LABELS[name](), data_keys=["image", "mask", "bbox_xyxy"])
+    results = augment(x, masks, boxes, seed=seeds)
+    for i in range(8):
+        alone = augment(x[i : i + 1], masks[i : i + 1], boxes[i : i + 1], seed=seeds[i : i + 1])
+        for of_batch, own in zip(results, alone):
+            torch.testing.assert_close(of_batch[i : i + 1], own)
+
+
 OF_ONE_TYPE: dict[str, Callable[..., Any]] = {
     "OneOf": lambda *children: A.OneOf(*children),
     "SomeOf": lambda *children: A.SomeOf(*children, n=(0, 2)),

@@ -62,6 +62,15 @@ class CallLabels(NamedTuple):
         boxes = self._selected(torch.cat([part.to(edges[0]) for part in edges], 1))
         return boxes.reshape(shape[0] // frames, frames * boxes.shape[1], 4) if frames > 1 else boxes
 
+    def first_masks(self) -> Any:
+        """Those of the first input: in the form in which they were given, or (b, C, H, W) of some samples; None without any."""
+        masks = self.masks_of_samples() if self._is_of_some else self.masks()
+        return masks[0] if masks else None
+
+    @property
+    def _is_of_some(self) -> bool:
+        return self.rows is not None or (self.outer is not None and self.outer._is_of_some)
+
     def masks(self) -> list[Any]:
         """Those of all inputs, in the form in which they were given."""
         settings = self.settings

@@ -198,12 +198,11 @@ def _execute_alone(x: Tensor, child: Child, context: CallContext, position: int)
             raise TypeError(f"{expected}, got a {type(y).__name__} from {type(module).__name__}; call it on the result")
         child.foreign_params = getattr(module, "_params", None)
         return y, Stage()
-    masks = [] if context.labels is None else context.labels.masks()
+    masks = None if context.labels is None else context.labels.first_masks()
     seed = context.seed_of_samples
     if seed is not None:
         seed = seed + ((position + 1) << 32)  # as a seed is that of a chain of one
-    first = masks[0] if masks else None
-    y, child.record = module._run_with_masks(x, first, child.params, seed, context.generator_of(module))
+    y, child.record = module._run_with_masks(x, masks, child.params, seed, context.generator_of(module))
     return y, Applied(module, child.record, module.flags)
 
 

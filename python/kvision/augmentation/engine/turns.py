@@ -166,7 +166,7 @@ def joins(module: Any, shape: tuple[int, ...]) -> Any:
 def _wrap(before: Sequence[Stage], samples: Sequence[int], batch: int) -> Callable[[list[Stage]], Stage]:
     """What stages of some samples are for all, after the turns before them."""
     earlier = list(before)
-    return lambda stages: Turns([*earlier, SomeSamples(stages, samples, batch)])
+    return lambda stages: Turns([*earlier, SomeSamples(stages, samples, batch)], samples)
 
 
 def _seed_of(seed: Any, rows: Sequence[int], batch: int) -> Any:
@@ -237,7 +237,16 @@ class SomeSamples(Chain):
 
 
 class Turns(Chain):
-    """The stages of turns, between which samples may have different sizes."""
+    """The stages of turns, between which samples may have different sizes.
+
+    Args:
+        stages: those of all samples, and of some of them.
+        wanted: the samples that are asked for; others may have another size now, and are zeros. None for all.
+    """
+
+    def __init__(self, stages: Sequence[Stage], wanted: Sequence[int] | None = None) -> None:
+        super().__init__(stages)
+        self.wanted = wanted
 
     def concerns_all(self, has_boxes: bool) -> bool:
         if has_boxes and self.changes_boxes:
@@ -256,8 +265,7 @@ class Turns(Chain):
     def invert(self, x: Tensor) -> Tensor:
         return self._through(x, self.stages[::-1], lambda stage, x: stage.invert(x))
 
-    @staticmethod
-    def _through(x: Tensor, stages: Sequence[Stage], move: Callable[[Stage, Tensor], Tensor]) -> Tensor:
+    def _through(self, x: Tensor, stages: Sequence[Stage], move: Callable[[Stage, Tensor], Tensor]) -> Tensor:
         """Images or masks after stages, each of which moves its samples."""
         rows = SampleRows(x)
         everything = range(len(x))
@@ -266,4 +274,7 @@ class Turns(Chain):
             if isinstance(stage, SomeSamples):
                 samples, stage = stage.samples, Chain(stage.stages)
             rows.put(samples, move(stage, rows.take(samples)))
-        return rows.take(everything) if len(x) else x
+        if self.wanted is None or not len(x):
+            return rows.take(everything) if len(x) else x
+        y = rows.take(self.wanted)
+        return y.new_zeros(len(x), *y.shape[1:]).index_copy(0, index_of(self.wanted, y), y)

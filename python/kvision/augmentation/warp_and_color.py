@@ -424,10 +424,6 @@ class Pass(NamedTuple):
     def warps(self) -> bool:
         return len(self.size) > 0
 
-    def giving(self, dtype: torch.dtype) -> Pass:
-        """The same pass with results of a type."""
-        return self._replace(plan=[program._DTYPES.index(dtype), *self.plan[1:]])
-
     @property
     def has_contrast(self) -> bool:
         return _has_contrast(self.plan)

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Hashable
-from typing import Any
+from typing import Any, TypeVar
 
 import torch
 from torch.compiler import is_compiling
 
 from kvision.augmentation.keys import PortableGenerator
 
+Method = TypeVar("Method", bound=Callable[[Any], Any])
 _MOST = 512  # plans of an object: those of the samples of a batch that get one child have many sizes
 
 
@@ -46,7 +48,7 @@ class Plans:
 
     def made(self, key: Hashable, make: Callable[[], Any]) -> Any:
         """The plan of a key, None among them, which `make` makes where there is none."""
-        kept = self.get(key)
+        kept = None if is_compiling() or self._count != _Changes.count else self._plans.get(key)
         if kept is None:
             kept = (make(),)
             self.keep(key, kept)
@@ -54,6 +56,16 @@ class Plans:
 
     def __reduce__(self) -> Any:
         return Plans, ()
+
+
+def kept(method: Method) -> Method:
+    """A method of a module without arguments whose value is kept among its plans."""
+
+    @functools.wraps(method)
+    def value(self: Any) -> Any:
+        return self._plans.made(method, lambda: method(self))
+
+    return value  # type: ignore[return-value]
 
 
 def _noticing(name: str) -> Any:

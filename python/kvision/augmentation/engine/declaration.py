@@ -23,7 +23,7 @@ from kvision._constants import constant
 from kvision._torch_compat import in_function_transform
 from kvision.augmentation.columns import Columns, Names, Span, constant_values, identity_values, name_columns
 from kvision.augmentation.draws import Draw, Request
-from kvision.augmentation.engine.configuration import SWITCHES, Flags, Plans, portable, settings_changed
+from kvision.augmentation.engine.configuration import SWITCHES, Flags, Plans, kept, portable, settings_changed
 from kvision.augmentation.engine.contribution import Colors, Contribution
 from kvision.augmentation.engine.execution import Params, Shape
 from kvision.augmentation.transforms import Transform
@@ -245,24 +245,22 @@ class Declaration(KeepsArguments):
         generator = self._param_generator
         if generator is None or generator.derives or self._draws_by_name or not self.keeps_positions:
             return {}
-        constants: dict[str, float] | None = self._plans.get(("constants", shape))
         names = name_columns(generator.fields)
-        if constants is None:
+
+        def find() -> dict[str, float]:
             values = constant_values(generator.draws(shape))
             each = {name: values[columns[0].position] for name, columns in names.items()}
-            constants = {name: value for name, value in each.items() if value is not None}
-            self._plans.keep(("constants", shape), constants)
+            return {name: value for name, value in each.items() if value is not None}
+
+        constants: dict[str, float] = self._plans.made(("constants", shape), find)
         if params is None or not constants:
             return constants
-        on_host = all(
-            not isinstance(x, Tensor) or (x.device.type == "cpu" and not x.requires_grad) for x in params.values()
-        )
+        tensors = [x for x in params.values() if isinstance(x, Tensor)]
+        on_host = all(x.device.type == "cpu" and not x.requires_grad for x in tensors)
         if not on_host or is_compiling() or in_function_transform():
             return {}
         given = generator.to_columns(params, shape).double()
-        return {
-            name: value for name, value in constants.items() if bool((given[:, names[name][0].position] == value).all())
-        }
+        return {n: value for n, value in constants.items() if bool((given[:, names[n][0].position] == value).all())}
 
     def _color_part(
         self, colors: Colors, span: Span | None, constants: Mapping[str, float] = MappingProxyType({})
@@ -343,13 +341,10 @@ class Declaration(KeepsArguments):
         generator = self._param_generator
         return self._is_overridden("generate_parameters") or (generator is not None and generator._draws_by_name)
 
+    @kept
     def _is_customized(self) -> bool:
         """Whether a method replaces what containers would join."""
-        is_customized: bool | None = self._plans.get("customized")
-        if is_customized is None:
-            is_customized = self._draws_by_name or any(self._is_overridden(name) for name in _OVERRIDABLE)
-            self._plans.keep("customized", is_customized)
-        return is_customized
+        return self._draws_by_name or any(self._is_overridden(name) for name in _OVERRIDABLE)
 
 
 def size_of(shape: Sequence[int], like: Tensor) -> Tensor:

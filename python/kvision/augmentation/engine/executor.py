@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -12,7 +12,8 @@ from torch.compiler import is_compiling
 from kvision._ops import match_layout
 from kvision.augmentation.columns import Columns, DrawPlan, Span, draw_columns, plan_draws
 from kvision.augmentation.drawn_pass import DrawnPass
-from kvision.augmentation.draws import Request, is_chosen_batch
+from kvision.augmentation.draws import is_chosen_batch
+from kvision.augmentation.engine.configuration import kept
 from kvision.augmentation.engine.contribution import Contribution
 from kvision.augmentation.engine.declaration import Declaration, size_of
 from kvision.augmentation.engine.execution import (
@@ -26,7 +27,7 @@ from kvision.augmentation.engine.execution import (
 from kvision.augmentation.keys import Keys, Seed, check_seeds, draw_keys
 from kvision.augmentation.noise import PixelNoise
 from kvision.augmentation.samples import where_chosen
-from kvision.augmentation.warp_and_color import Pass, make_pass
+from kvision.augmentation.warp_and_color import SAME, Output, Pass, make_pass
 from kvision.geometry.transform.lists.arguments import like_batch
 from kvision.geometry.transform.lists.kept_sizes import Operation
 
@@ -88,15 +89,11 @@ class Executor(Declaration):
             execution = Execution(shape, applied=self._applies(None, 0))
         else:
             keys = self._keys(x, seed, generator)
-            columns: Columns | None
-            columns = drawn = Columns(draws.draw(x, keys), draws.spans[0])
-            applied = self._applies(keys, 0)
-            redraw: tuple[Keys, int] | None = (keys, 0)
+            drawn, applied = Columns(draws.draw(x, keys), draws.spans[0]), self._applies(keys, 0)
+            execution = Execution(shape, drawn, applied=applied, redraw=(keys, 0), is_certain=self._is_certain)
             if self._derives:
-                redraw, columns = None, None
-                if applied:
-                    columns = self._derived(drawn, size_of(shape, drawn.drawn), labels)
-            execution = Execution(shape, columns, applied=applied, redraw=redraw, is_certain=self._is_certain)
+                execution.redraw = None
+                execution.columns = self._derived(drawn, size_of(shape, drawn.drawn), labels) if applied else None
         execution.identity = matrix_type(x)
         return execution
 
@@ -105,28 +102,25 @@ class Executor(Declaration):
     def _read_params(self, execution: Execution) -> Params:
         if execution.params is None:
             of_list = execution.of_list
-            found = self._find_params(execution) if of_list is None else of_list.params(self._read_params)
-            execution.params = found
+            execution.params = self._find_params(execution) if of_list is None else of_list.params(self._read_params)
         return execution.params
 
     def _find_params(self, execution: Execution) -> Params:
         """The parameters that a call has drawn."""
         device, dtype = self._rng
-        shape, columns = execution.shape, execution.columns
+        shape, columns, redraw = execution.shape, execution.columns, execution.redraw
+        if columns is not None and columns.drawn.is_cuda:
+            columns = self._columns_on_host(execution) or columns
+            redraw = None if redraw is None else (redraw[0].cpu(), redraw[1])
         chosen = torch.full((shape[0],), float(execution.applied), device="cpu")
-        request = self._request(shape, execution.is_certain)
-        redraw = execution.redraw
-        if request is not None and redraw is not None and columns is not None and columns.drawn.is_cuda:
-            redraw = (redraw[0].cpu(), redraw[1])
-            columns = self._drawn_again(request, execution, *redraw)
+        if columns is not None and columns.chosen is not None:
+            chosen = columns.chosen.detach().cpu() * chosen
         params: Params = {}
-        if columns is not None:
-            if columns.chosen is not None:
-                chosen = columns.chosen.detach().cpu() * chosen
-            values = columns.values.detach()
-        else:  # nothing was drawn, as at p = 0: what stands for samples that are not chosen
-            values = self._identity_columns(shape)
         if self._param_generator is not None and not self._draws_by_name:
+            if columns is None:  # nothing was drawn, as at p = 0: what stands for samples that are not chosen
+                values = self._identity_values(shape, torch.empty(0, dtype=torch.float32, device="cpu")).expand(shape[0], -1)
+            else:
+                values = columns.values.detach()
             params = self._named(values, execution)
             if self._param_generator.per_pixel:
                 redraw = redraw or (draw_keys(type(self).__name__, 1, values.device, 0, None), 0)
@@ -145,26 +139,22 @@ class Executor(Declaration):
         assert generator is not None
         return generator.to_params(values, execution.shape)
 
-    def _identity_columns(self, shape: Shape) -> Tensor:
-        """The columns (B, P) of samples of which none is chosen."""
-        if self._param_generator is None or self._draws_by_name:
-            return torch.empty(shape[0], 0, device="cpu")
-        return self._identity_values(shape, torch.empty(0, dtype=torch.float32, device="cpu")).expand(shape[0], -1)
-
     def _values_on_host(self, execution: Execution) -> Tensor:
         """The values (B, P) for decisions of the host, without waiting for what the device has drawn."""
-        request = self._request(execution.shape, execution.is_certain)
-        assert request is not None and execution.redraw is not None
-        keys, index = execution.redraw
-        keys.on_host(type(self).__name__)  # which raises where it cannot be read
-        return self._drawn_again(request, execution, keys.cpu(), index).values
+        assert execution.redraw is not None
+        execution.redraw[0].on_host(type(self).__name__)  # which raises where it cannot be read
+        columns = self._columns_on_host(execution)
+        assert columns is not None
+        return columns.values
 
-    @staticmethod
-    def _drawn_again(request: Request, execution: Execution, keys: Keys, index: int) -> Columns:
-        """The columns of a request on the host, which are the same numbers and wait for nothing but keys on the device."""
-        frames = execution.frames
+    def _columns_on_host(self, execution: Execution) -> Columns | None:
+        """The columns drawn again: the same numbers, which wait for nothing but keys on the device. None where there were none."""
+        request = self._request(execution.shape, execution.is_certain)
+        if request is None or execution.redraw is None:
+            return None
+        (keys, index), frames = execution.redraw, execution.frames
         images = torch.empty(execution.shape[0] // frames, device="cpu")
-        (columns,) = draw_columns(images, keys, [request], index)
+        (columns,) = draw_columns(images, keys.cpu(), [request], index)
         return columns if frames == 1 else columns._replace(drawn=columns.drawn.repeat_interleave(frames, 0))
 
     def _params_on_device(self, x: Tensor, execution: Execution, for_users: bool = True) -> Params:
@@ -215,20 +205,18 @@ class Executor(Declaration):
         """An execution that replays given parameters."""
         shape = tuple(x.shape)
         chosen = params.get("batch_prob")
-        if chosen is not None:
-            check_batch_of_params(type(self).__name__, len(chosen), shape[0])
         applied = True
         if chosen is None:
             params = {**params, "batch_prob": torch.ones(shape[0], device="cpu")}
-        elif chosen.device.type == "cpu" and not is_compiling():
-            is_chosen = chosen > 0.5
-            applied = bool(is_chosen.any()) or shape[0] == 0 or self._was_planned(params)
-            chosen = None if bool(is_chosen.all()) else is_chosen
         else:
+            check_batch_of_params(type(self).__name__, len(chosen), shape[0])
             chosen = chosen > 0.5
+            if chosen.device.type == "cpu" and not is_compiling():
+                applied = bool(chosen.any()) or shape[0] == 0 or self._was_planned(params)
+                chosen = None if bool(chosen.all()) else chosen
+            chosen = None if chosen is None else chosen.to(x.device)
         if "forward_input_shape" not in params:
             params = {**params, "forward_input_shape": torch.tensor(shape, device="cpu")}
-        chosen = None if chosen is None else chosen.to(x.device)
         columns = None
         if applied and not self._is_customized() and self._executes_columns(shape):
             columns = self._columns_of(params, shape, x.device, chosen)
@@ -277,7 +265,7 @@ class Executor(Declaration):
             # Derived columns do not follow from the draws alone, so that no pass is planned with these.
             image_pass = None
             if applied and not self._derives:
-                image_pass = self._pass_of(x.dtype, shape, span, self.flags, self._constants(shape, None))
+                image_pass = self._pass_of(x.dtype, shape, span, self.flags)
             drawn = None if image_pass is None or draws is None else DrawnPass(draws, image_pass, shape, x.dtype)
             plan = CallPlan(shape, draws, self._is_certain, image_pass, drawn)
             if draws is None or draws.learned is None:
@@ -285,34 +273,28 @@ class Executor(Declaration):
         return plan
 
     def _pass_of(
-        self,
-        dtype: torch.dtype,
-        shape: Shape,
-        span: Span | None,
-        flags: dict[str, Any],
-        constants: Mapping[str, float],
+        self, dtype: torch.dtype, shape: Shape, span: Span | None, flags: dict[str, Any], params: Params | None = None
     ) -> Pass | None:
         """The pass that executes this augmentation by columns on images of a type; None if there is no such pass."""
         motion, colors, _ = self._contribution(shape, flags) or Contribution()
-        if colors is not None:
-            image_pass = make_pass(None, parts=[self._color_part(colors, span, constants)])
-        elif motion is not None and motion.chain is not None and motion.reads_by_matrix:
-            image_pass = make_pass(self._bound(motion.chain, span), motion.size, motion.resampling)
-        else:
-            return None
         result = self._result_dtype(dtype)
-        return image_pass if result == dtype else image_pass.giving(result)
+        output = SAME if result == dtype else Output(result)
+        if colors is not None:
+            parts = [self._color_part(colors, span, self._constants(shape, params))]
+            return make_pass(None, parts=parts, output=output)
+        if motion is not None and motion.chain is not None and motion.reads_by_matrix:
+            return make_pass(self._bound(motion.chain, span), motion.size, motion.resampling, output=output)
+        return None
 
     def _kept_pass(self, dtype: torch.dtype, execution: Execution, flags: dict[str, Any]) -> Pass | None:
-        """`_pass_of`, cached for the flags of the constructor."""
-        shape, constants = execution.shape, self._constants(execution.shape, execution.params)
+        """`_pass_of` an execution, cached for the flags of the constructor."""
+        shape, params = execution.shape, execution.params
         span = None if execution.columns is None else execution.columns.span
-        arguments = (dtype, shape, span, flags, constants)
         if flags is not self.flags:
-            return self._pass_of(*arguments)
-        image_pass: Pass | None
-        image_pass = self._plans.made((dtype, shape, span, *constants), lambda: self._pass_of(*arguments))
-        return image_pass
+            return self._pass_of(dtype, shape, span, flags, params)
+        key = (dtype, shape, span, *self._constants(shape, params))
+        kept: Pass | None = self._plans.made(key, lambda: self._pass_of(dtype, shape, span, flags, params))
+        return kept
 
     # --- execution ---
 
@@ -349,12 +331,9 @@ class Executor(Declaration):
         if not execution.applied:
             return x
         stored, result = x.dtype, self._result_dtype(x.dtype)
-        transform: Tensor | None = None
-        if self._needs_no_matrix():
-            params = self._params_on_device(x, execution, for_users=False)
-        else:
-            params = self._params_on_device(x, execution)
-            transform = self.compute_transformation(x, params, flags)
+        needs_matrix = not self._needs_no_matrix()
+        params = self._params_on_device(x, execution, for_users=needs_matrix)
+        transform = self.compute_transformation(x, params, flags) if needs_matrix else None
         image = x
         if stored == torch.uint8 and (result != stored or not self.accepts_bytes):
             image = x.float().div_(255)
@@ -367,10 +346,8 @@ class Executor(Declaration):
             y = y.to(result)
         if y.dim() == 4 and y.shape == x.shape:
             y = match_layout(y, x)
-        if "_noise" in params and self.fuses_noise:
-            is_kept = True
-        else:
-            is_kept = self.keeps_unchosen and execution.params is None and not self._is_customized()
+        is_kept = self.keeps_unchosen and execution.params is None and not self._is_customized()
+        is_kept = is_kept or ("_noise" in params and self.fuses_noise)
         if execution.chosen is not None and y.shape == x.shape and not is_kept:
             y = where_chosen(execution.chosen, y, x if result == stored else image)
             if transform is not None:
@@ -385,32 +362,31 @@ class Executor(Declaration):
 
     def _operates_on(self, dtype: torch.dtype) -> bool:
         """Whether one operator is all that is done to images of a type, whatever is drawn, so that lists need no other call."""
-        has_operation = type(self)._operation is not Executor._operation and not self._is_customized()
-        if not has_operation or not (self.keeps_unchosen or self.fuses_noise) or self._result_dtype(dtype) != dtype:
-            return False
-        if self._param_generator is not None and self._param_generator.per_pixel:
-            has_operation = self.fuses_noise and dtype != torch.float64
-        return has_operation and (self.accepts_bytes or dtype != torch.uint8)
+        generator = self._param_generator
+        is_per_pixel = generator is not None and generator.per_pixel
+        return (
+            type(self)._operation is not Executor._operation
+            and not self._is_customized()
+            and (self.fuses_noise and dtype != torch.float64 if is_per_pixel else self.keeps_unchosen or self.fuses_noise)
+            and self._result_dtype(dtype) == dtype
+            and (self.accepts_bytes or dtype != torch.uint8)
+        )
 
     def _run_list(self, images: Sequence[Tensor], execution: Execution) -> list[Tensor]:
         """Execute on a list of images (C, H, W) of a type that it operates on."""
         like = like_batch(images)
         return self._operation(like, self._params_on_device(like, execution, for_users=False)).on_list(images)
 
+    @kept
     def _needs_no_matrix(self) -> bool:
         """Whether positions are kept and no method is a user's: then the identity matrix is made only when it is read."""
-        needs_no_matrix: bool | None = self._plans.get("needs_no_matrix")
-        if needs_no_matrix is None:
-            keeps_positions = type(self).compute_transformation is Declaration.compute_transformation
-            needs_no_matrix = keeps_positions and not self._is_customized()
-            self._plans.keep("needs_no_matrix", needs_no_matrix)
-        return needs_no_matrix
+        keeps_positions = type(self).compute_transformation is Declaration.compute_transformation
+        return keeps_positions and not self._is_customized()
 
     def _matrix(self, execution: Execution) -> Tensor:
         if execution.matrix is None:
             of_list = execution.of_list
-            found = self._find_matrix(execution) if of_list is None else of_list.matrix(self._matrix)
-            execution.matrix = found
+            execution.matrix = self._find_matrix(execution) if of_list is None else of_list.matrix(self._matrix)
         return execution.matrix
 
     def _find_matrix(self, execution: Execution) -> Tensor:

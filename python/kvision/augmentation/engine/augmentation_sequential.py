@@ -227,7 +227,7 @@ class AugmentationSequential(ImageSequential):
                 before = self._convert(keys, values, image)
                 break
         record: Record
-        if image is not None and isinstance(values[image], list) and not self._reads_lists:
+        if image is not None and isinstance(values[image], list) and not self._reads_lists():
             values[image] = self.transform_tensor(values[image])
             outputs, record = self._call_list(keys, values, params, seed, generator)
         else:

@@ -89,17 +89,13 @@ class ChoiceBase(ImageSequential):
     # --- lists ---
 
     @property
-    def _reads_lists(self) -> bool:
-        return False
-
-    @property
     def _always_chooses(self) -> bool:
         return self.children_are_certain and self.p == 1
 
     def _sizes_after(self, sizes: Sizes) -> Sizes | None:
         after = [sizes_after(module, sizes) for module in self.children()]
-        one_of_them = after[:1] if self._always_chooses else [sizes]
-        return one_of_them[0] if all(own == one_of_them[0] for own in after) else None
+        expected = after[0] if self._always_chooses else sizes
+        return expected if all(own == expected for own in after) else None
 
     # --- a call ---
 

@@ -48,7 +48,7 @@ class Plans:
 
     def made(self, key: Hashable, make: Callable[[], Any]) -> Any:
         """The plan of a key, None among them, which `make` makes where there is none."""
-        kept = None if is_compiling() or self._count != _Changes.count else self._plans.get(key)
+        kept = self.get(key)
         if kept is None:
             kept = (make(),)
             self.keep(key, kept)
@@ -63,7 +63,10 @@ def kept(method: Method) -> Method:
 
     @functools.wraps(method)
     def value(self: Any) -> Any:
-        return self._plans.made(method, lambda: method(self))
+        plans: Plans = self._plans
+        has_plans = plans._count == _Changes.count and not is_compiling()
+        known = plans._plans.get(method) if has_plans else None  # in place of `get`, for its time
+        return plans.made(method, lambda: method(self)) if known is None else known[0]
 
     return value  # type: ignore[return-value]
 

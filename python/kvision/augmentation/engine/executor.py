@@ -118,7 +118,9 @@ class Executor(Declaration):
         params: Params = {}
         if self._param_generator is not None and not self._draws_by_name:
             if columns is None:  # nothing was drawn, as at p = 0: what stands for samples that are not chosen
-                values = self._identity_values(shape, torch.empty(0, dtype=torch.float32, device="cpu")).expand(shape[0], -1)
+                values = self._identity_values(shape, torch.empty(0, dtype=torch.float32, device="cpu")).expand(
+                    shape[0], -1
+                )
             else:
                 values = columns.values.detach()
             params = self._named(values, execution)
@@ -367,7 +369,9 @@ class Executor(Declaration):
         return (
             type(self)._operation is not Executor._operation
             and not self._is_customized()
-            and (self.fuses_noise and dtype != torch.float64 if is_per_pixel else self.keeps_unchosen or self.fuses_noise)
+            and (
+                self.fuses_noise and dtype != torch.float64 if is_per_pixel else self.keeps_unchosen or self.fuses_noise
+            )
             and self._result_dtype(dtype) == dtype
             and (self.accepts_bytes or dtype != torch.uint8)
         )

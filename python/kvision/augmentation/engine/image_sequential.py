@@ -19,7 +19,7 @@ from kvision.augmentation.engine.augmentation import AugmentationBase
 from kvision.augmentation.engine.call_context import CallContext
 from kvision.augmentation.engine.call_labels import CallLabels
 from kvision.augmentation.engine.choices import Choices
-from kvision.augmentation.engine.configuration import Plans, portable, settings_changed
+from kvision.augmentation.engine.configuration import Plans, kept, portable, settings_changed
 from kvision.augmentation.engine.declaration import KeepsArguments
 from kvision.augmentation.engine.execution import check_batch_of_params, matrix_type
 from kvision.augmentation.engine.list_calls import SIZES, Parts, Sizes, call_in_parts, shapes_of_images, sizes_after
@@ -28,14 +28,7 @@ from kvision.augmentation.engine.lists import list_plan
 from kvision.augmentation.engine.record import Child, ParamItem, Record, child_of, item_of
 from kvision.augmentation.engine.result_types import common_dtype, in_wider_type, result_dtype
 from kvision.augmentation.engine.runs import execute, images_of
-from kvision.augmentation.engine.stages import (
-    KNOWN,
-    ByMatrix,
-    Chain,
-    LabelSettings,
-    Nested,
-    Stage,
-)
+from kvision.augmentation.engine.stages import KNOWN, ByMatrix, Chain, LabelSettings, Nested, Stage
 from kvision.augmentation.engine.turns import SomeSamples, Turn, execute_turns, turns_of
 from kvision.augmentation.inputs import (
     WIDE_INTEGERS,
@@ -312,12 +305,17 @@ class ImageSequential(ImageSequentialBase):
 
     # --- lists ---
 
-    @property
+    @kept
+    def _runs_all(self) -> bool:
+        """Whether a call runs all children in their order, and does nothing else."""
+        return self._reads_frames and not self._draws_choices and len(self) > 0
+
+    @kept
     def _reads_lists(self) -> bool:
         """Whether the first child makes a list a batch by one launch, so that the list is not taken image by image."""
-        if self.random_apply is not None or self.resample == "once" or not len(self):
-            return False
-        return list_plan(next(iter(self._modules.values()))) is not None
+        return (
+            self._runs_all() and self.resample == "each" and list_plan(next(iter(self._modules.values()))) is not None
+        )
 
     @property
     def _reads_frames(self) -> bool:
@@ -366,32 +364,17 @@ class ImageSequential(ImageSequentialBase):
         self, keys: Sequence[DataKey], inputs: Sequence[Any], params: Any, seed: Seed, generator: Generator | None
     ) -> tuple[list[Any], Record]:
         """The results of a call on a list of images, in the launches of a batch or image by image, and its record."""
-        of_passes = self._call_list_by_passes(keys, inputs, params, seed, generator)
-        if of_passes is not None:
-            return of_passes
         if params is not None:
             params = list(checked_items(type(self).__name__, params, self._item_field))
+        elif self._runs_all() and list(keys).count(DataKey.INPUT) == 1:  # further images replay the parameters
+            context = self._context(seed, generator)._replace(has_labels=len(keys) > 1)
+            results = run_list(inputs[keys.index(DataKey.INPUT)], self._own_children(), context)
+            if results is not None:
+                y, of_run = results
+                return self._with_labels_of_list(keys, inputs, y, of_run), Record.of_parts(of_run)
         call = functools.partial(self._call_part, keys)
         outputs, parts = call_in_parts(list(self.modules()), keys, inputs, params, seed, generator, call)
         return outputs, Record.of_parts(parts)
-
-    def _call_list_by_passes(
-        self, keys: Sequence[DataKey], inputs: Sequence[Any], params: Any, seed: Seed, generator: Generator | None
-    ) -> tuple[list[Any], Record] | None:
-        """The same of a call whose children are passes over all images; None of others."""
-        is_plain = type(self)._execute is ImageSequential._execute and type(self)._in_turns is ImageSequential._in_turns
-        if params is not None or self.random_apply is not None or not is_plain or not len(self):
-            return None
-        if list(keys).count(DataKey.INPUT) != 1:  # others replay the parameters
-            return None
-        context = self._context(seed, generator)._replace(has_labels=len(keys) > 1)
-        children = [Child(name, module) for name, module in self._modules.items()]
-        images = inputs[keys.index(DataKey.INPUT)]
-        results = run_list(images, children, context)
-        if results is None:
-            return None
-        y, parts = results
-        return self._with_labels_of_list(keys, inputs, y, parts), Record.of_parts(parts)
 
     def _with_labels_of_list(self, keys: Sequence[DataKey], inputs: Sequence[Any], y: Any, parts: Any) -> list[Any]:
         """What the inputs of a call on a list become, whose images became y."""
@@ -417,8 +400,11 @@ class ImageSequential(ImageSequentialBase):
         return Parts.of_params(type(self).__name__, list(params), shapes, outputs, self._record_of_part)
 
     def _record_of_part(self, like: Tensor, shape: tuple[int, ...], params: Any) -> Record:
-        image = torch.zeros(1, device=like.device).expand(shape)
-        return self._execute(image, params, self._context(None, None))[1]
+        return self._replayed(torch.zeros(1, device=like.device).expand(shape), params)
+
+    def _replayed(self, x: Tensor, params: Any) -> Record:
+        """A call with given parameters."""
+        return self._execute(x, params, self._context(None, None))[1]
 
     # --- execution ---
 
@@ -427,12 +413,18 @@ class ImageSequential(ImageSequentialBase):
         if isinstance(input, list) and is_image_list(self, input):
             images: Any = checked_images(self, input)
             return images
-        axes: int | None = self._plans.get("axes")
-        if axes is None:
-            axes = max([3, *(m.axes for m in self.modules() if isinstance(m, AugmentationBase))])
-            self._plans.keep("axes", axes)
+        axes = self._axes()
         check_batch(self, input, axes)
         return as_batch(input, axes)
+
+    @kept
+    def _axes(self) -> int:
+        """The axes of an image with its channels; of a volume, where a child takes these."""
+        return max([3, *(m.axes for m in self.modules() if isinstance(m, AugmentationBase))])
+
+    def _own_children(self) -> list[Child]:
+        """All children in their order."""
+        return [Child(name, module) for name, module in self._modules.items()]
 
     def _children_of_call(self, params: Sequence[ParamItem] | None, context: CallContext) -> list[Child]:
         if params is not None:
@@ -481,7 +473,7 @@ class ImageSequential(ImageSequentialBase):
             return None
         frames = max(context.time, context.frames, 1)
         sequences = self._sequences_of_samples(context, len(x) // frames)
-        units = self._units([Child(name, module) for name, module in self.named_children()])
+        units = self._units(self._own_children())
         return turns_of(units, sequences, frames, context.position), context
 
     def _turns_of_params(self, children: Sequence[Child], batch: int) -> list[Turn]:
@@ -597,7 +589,7 @@ class ImageSequential(ImageSequentialBase):
         x = self.transform_tensor(image)
         if before is not None:
             check_matrix(self, before, x)
-        if isinstance(x, list) and not self._reads_lists:
+        if isinstance(x, list) and not self._reads_lists():
             (y,), record = self._call_list([DataKey.INPUT], [x], params, seed, generator)
         else:
             y, record = self._execute(x, params, self._context(seed, generator, self._time(image), source=source))
@@ -619,12 +611,7 @@ class ImageSequential(ImageSequentialBase):
 
     def _matrix_of_inner(self, record: Record) -> Tensor | None:
         """The product of the matrices that containers inside return, as one after the other does; None if none returns one."""
-        returns: bool | None = self._plans.get("returns")
-        if returns is None:
-            inner = [m for m in self.modules() if m is not self and isinstance(m, ImageSequential)]
-            returns = any(m.return_transform for m in inner)
-            self._plans.keep("returns", returns)
-        if not returns or record.shape is None:
+        if not self._has_inner_that_return() or record.shape is None:
             return None
         if record.parts is not None:
             return record.parts.matrix(self._matrix_of_inner)
@@ -638,6 +625,11 @@ class ImageSequential(ImageSequentialBase):
                     stage = Chain(stages) if child.samples is None else SomeSamples(stages, child.samples, child.batch)
                     matrix = stage.product(matrix)
         return matrix
+
+    @kept
+    def _has_inner_that_return(self) -> bool:
+        inner = [m for m in self.modules() if m is not self and isinstance(m, ImageSequential)]
+        return any(m.return_transform for m in inner)
 
     def _like(self, frames: Frames) -> Tensor:
         """What has the shape and the type of the images that frames are, but no values."""
@@ -687,9 +679,9 @@ class ImageSequential(ImageSequentialBase):
         if params is None and not recompute:
             return self.transform_matrix
         x, params = self.transform_tensor(input), self._params if params is None else params
-        if isinstance(x, list) and not self._reads_lists:
+        if isinstance(x, list) and not self._reads_lists():
             return self._matrix(self._call_list([DataKey.INPUT], [x], params, None, None)[1])
-        record = self._execute(x, params, self._context(None, None))[1]
+        record = self._replayed(x, params)
         return record.stages.product(record.identity_matrix())
 
     def inverse(
@@ -738,8 +730,7 @@ class ImageSequential(ImageSequentialBase):
         params = last.items if params is None and last.shape is None else params  # given without a call
         if params is None:
             return last
-        image = x.new_zeros(1).expand(_input_shape(params) or self._record.shape or tuple(x.shape))
-        return self._execute(image, params, self._context(None, None))[1]
+        return self._replayed(x.new_zeros(1).expand(_input_shape(params) or last.shape or tuple(x.shape)), params)
 
     def _record_to_invert(self, x: Tensor, params: Sequence[ParamItem] | None) -> Record:
         record = self._record_of(x, params)

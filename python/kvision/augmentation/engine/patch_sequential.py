@@ -116,10 +116,6 @@ class PatchSequential(ImageSequential):
     def _sizes_after(self, sizes: Sizes) -> Sizes | None:
         return sizes if self.padding == "same" else None
 
-    @property
-    def _reads_lists(self) -> bool:
-        return False
-
     # --- cells ---
 
     def compute_padding(
@@ -267,11 +263,10 @@ class PatchSequential(ImageSequential):
 
     def _chains(self, count: int, context: CallContext) -> list[list[Child]]:
         """The children of each cell, in their order."""
-        named = [Child(name, module) for name, module in self.named_children()]
         if not self.patchwise_apply:
             return [self._children_of_call(None, context)] * count
         if self.random_apply is None:
-            return [[child] for child in named]
+            return [[child] for child in self._own_children()]
         chains = []
         for seed in self._seeds_of_choices(count, context):
             chosen = self.get_random_forward_sequence(seed=seed, generator=context.generator_of(self))

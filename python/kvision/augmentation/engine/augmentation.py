@@ -151,32 +151,27 @@ class AugmentationBase(Executor, keeps_contract=True):
         flags, plain = self._flags_of(kwargs), plain_image(self, given)
         images = checked_images(self, plain)
         keys, inputs = [DataKey.INPUT], [images]
+        child, context = Child(op, self, params), CallContext.of_module(op, seed, generator, self._plans)
         if labels is not None:
             keys, inputs = [*keys, _KEYS[self.reads_labels or ""]], [images, labels]
+            context = context._replace(labels=CallLabels(keys, inputs, None, largest_shape(images), True))
+        run, is_planned = None, flags is self.flags
         with nullcontext() if params is None else replaying(op, params):
-            if flags is self.flags and list_plan(self) is not None:
-                context = CallContext.of_module(op, seed, generator)
-                if labels is not None:
-                    context = context._replace(labels=CallLabels(keys, inputs, None, largest_shape(images), True))
-                child = Child(op, self, params)
+            if is_planned and list_plan(self) is not None:
                 y, *_ = execute_list(images, child, context)
-                execution = child.record
             else:
-                run = None
-                if params is None and labels is None and flags is self.flags:
-                    context = CallContext.of_module(op, seed, generator)._replace(plans=self._plans)
-                    run = run_list(images, [Child(op, self)], context)
-                parts: Parts
+                if is_planned and params is None and labels is None:
+                    run = run_list(images, [child], context)
                 if run is not None:
-                    y, parts = run[0], run[1].of_child(0)
+                    y, child.record = run[0], ListExecution(run[1].of_child(0))
                 else:
                     call = functools.partial(self._call_part, flags)
                     (y, *_), parts = call_in_parts([self], keys, inputs, params, seed, generator, call)
-                execution = ListExecution(parts)
-        self._execution = execution
+                    child.record = ListExecution(parts)
+        self._execution = child.record
         y = y if plain is given else wrap(y, given)
         returns = self.return_transform if return_transform is None else return_transform
-        return with_matrix(y, None, self._matrix(execution).to(images[0].device) if returns else None)
+        return with_matrix(y, None, self._matrix(child.record).to(images[0].device) if returns else None)
 
     def _call_part(
         self, flags: dict[str, Any], inputs: Sequence[Any], params: Any, seed: Seed, generator: Generator | None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal, get_args
 
 import torch
@@ -19,11 +19,7 @@ from kvision.augmentation.engine.label_moves import move_boxes_back
 from kvision.augmentation.engine.label_record import LabelRecord
 from kvision.augmentation.engine.list_calls import Parts
 from kvision.augmentation.engine.record import Record
-from kvision.augmentation.engine.stages import (
-    Chain,
-    LabelSettings,
-    MaskReading,
-)
+from kvision.augmentation.engine.stages import Chain, LabelSettings, MaskReading
 from kvision.augmentation.engine.video_sequential import VideoSequential
 from kvision.augmentation.inputs import (
     Entries,
@@ -49,6 +45,8 @@ from kvision.core.exceptions import BaseError, ValueCheckError
 from kvision.geometry.transform.lists.arguments import largest_shape
 
 __all__ = ["AugmentationSequential"]
+
+_OP = "AugmentationSequential"
 
 
 class AugmentationSequential(ImageSequential):
@@ -152,22 +150,17 @@ class AugmentationSequential(ImageSequential):
             memory_format=memory_format,
             return_transform=return_transform,
         )
-        op = "AugmentationSequential"
-        _check.choice(op, "transformation_matrix_mode", transformation_matrix_mode, get_args(MatrixMode))
-        self.data_keys = None if data_keys is None else labels.parse_data_keys("AugmentationSequential", data_keys)
+        _check.choice(_OP, "transformation_matrix_mode", transformation_matrix_mode, get_args(MatrixMode))
+        self.data_keys = None if data_keys is None else labels.parse_data_keys(_OP, data_keys)
         if self.data_keys is not None and self.data_keys[0] != DataKey.INPUT:
-            raise ValueCheckError(
-                f"AugmentationSequential: expected data_keys to begin with 'input', got {data_keys!r}"
-            )
+            raise ValueCheckError(f"{_OP}: expected data_keys to begin with 'input', got {data_keys!r}")
         if not min_box_area >= 0:
-            raise ValueCheckError(f"AugmentationSequential: expected min_box_area of 0 or more, got {min_box_area}")
-        _check.fraction(op, "min_box_visibility", min_box_visibility)
-        self._names = parse_names("AugmentationSequential", keys)
+            raise ValueCheckError(f"{_OP}: expected min_box_area of 0 or more, got {min_box_area}")
+        _check.fraction(_OP, "min_box_visibility", min_box_visibility)
+        self._names = parse_names(_OP, keys)
         self._warned: set[str] = set()  # names of entries that pass through
         if clip_boxes not in (False, True, "each"):
-            raise ValueCheckError(
-                f"AugmentationSequential: expected clip_boxes to be a bool or 'each', got {clip_boxes!r}"
-            )
+            raise ValueCheckError(f"{_OP}: expected clip_boxes to be a bool or 'each', got {clip_boxes!r}")
         self.box_filter = labels.BoxFilter(bool(clip_boxes), min_box_area, min_box_visibility)
         self._clips_each = clip_boxes == "each"
         self.transformation_matrix_mode = transformation_matrix_mode
@@ -216,16 +209,12 @@ class AugmentationSequential(ImageSequential):
         """
         if output_type != "pt":
             check_output_type(self, output_type)
-        before = None
         entries, given, keys, values = self._inputs_of(args, data_keys)
         image = keys.index(DataKey.INPUT) if DataKey.INPUT in keys else None
         source = values[image] if image is not None and isinstance(values[image], Frames) else None
         if source is not None and image is not None:
             values[image] = source._like()
-        for value in values:
-            if not isinstance(value, Tensor):
-                before = self._convert(keys, values, image)
-                break
+        before = None if {*map(type, values)} == {Tensor} else self._convert(keys, values, image)
         record: Record
         if image is not None and isinstance(values[image], list) and not self._reads_lists():
             values[image] = self.transform_tensor(values[image])
@@ -274,28 +263,26 @@ class AugmentationSequential(ImageSequential):
 
     def _sample(self, args: Sequence[Any], data_keys: DataKeys | None) -> Entries | Sample | None:
         """What follows the images among the entries of a dict, or among tv_tensors; None for arguments by their keys."""
-        op = "AugmentationSequential"
         if len(args) == 1 and isinstance(args[0], Tensor):
             return None
         if data_keys is None and (self.data_keys is None or len(self.data_keys) != len(args) or len(args) == 1):
-            sample = sample_of(op, args, lambda data: parse_entries(op, data, self._names, self, set(data)))
+            sample = sample_of(_OP, args, lambda data: parse_entries(_OP, data, self._names, self, set(data)))
             if sample is not None:
                 return sample
         if len(args) != 1 or not isinstance(args[0], Mapping):
             return None
-        return parse_entries(op, args[0], self._names, self, self._warned)
+        return parse_entries(_OP, args[0], self._names, self, self._warned)
 
     def _keys_of(self, args: Sequence[Any], data_keys: DataKeys | None, is_inverse: bool) -> list[DataKey]:
         """The keys of arguments: those of the call, or else of the constructor; the inverse may have some of its inputs."""
-        op = "AugmentationSequential"
-        keys = self.data_keys if data_keys is None else labels.parse_data_keys(op, data_keys)
+        keys = self.data_keys if data_keys is None else labels.parse_data_keys(_OP, data_keys)
         if is_inverse:
             return keys or [DataKey.INPUT]
         if keys is None:
-            raise ValueCheckError(f"{op}: without data_keys, expected one dict")
+            raise ValueCheckError(f"{_OP}: without data_keys, expected one dict")
         if len(keys) != len(args):
             names = [key.name.lower() for key in keys]
-            raise ValueCheckError(f"{op}: expected {len(keys)} inputs for {names}, got {len(args)}")
+            raise ValueCheckError(f"{_OP}: expected {len(keys)} inputs for {names}, got {len(args)}")
         return keys
 
     def _call_part(
@@ -306,14 +293,20 @@ class AugmentationSequential(ImageSequential):
     def _with_labels_of_list(self, keys: Sequence[DataKey], inputs: Sequence[Any], y: Any, parts: Any) -> list[Any]:
         if len(keys) == 1:
             return [y]
-        each = []
-        for record, rows in zip(parts.calls, parts.rows):
-            record.labels = LabelRecord(self._label_settings, record.shape, record.size)
-            own = parts.inputs(rows, keys, inputs)
-            each.append(record.labels.move(list(keys), own, record.stages))
-            record.stages.forget()
+        settings, calls = self._label_settings, zip(parts.calls, parts.rows)
+        each = [self._with_labels(keys, parts.inputs(rows, keys, inputs), call, settings) for call, rows in calls]
         outputs = parts.outputs(keys, inputs, each)
         outputs[keys.index(DataKey.INPUT)] = y
+        return outputs
+
+    @staticmethod
+    def _with_labels(
+        keys: Sequence[DataKey], inputs: Sequence[Any], record: Record, settings: LabelSettings
+    ) -> list[Any]:
+        """What belongs to the images of a call, moved, and the images as they are."""
+        record.labels = LabelRecord(settings, record.shape, record.size)
+        outputs = record.labels.move(keys, inputs, record.stages)
+        record.stages.forget()
         return outputs
 
     def _call(
@@ -329,7 +322,7 @@ class AugmentationSequential(ImageSequential):
         """The results of a call, and its record."""
         if DataKey.INPUT not in keys:
             if self._record.shape is None and params is None:
-                raise ValueCheckError("AugmentationSequential: expected one of data_keys to be 'input'")
+                raise ValueCheckError(f"{_OP}: expected one of data_keys to be 'input'")
             return self._move_alone(keys, inputs, params)
         if self.transformation_matrix_mode == "rigid":
             _check_rigid(self)
@@ -340,26 +333,24 @@ class AugmentationSequential(ImageSequential):
         x = self.transform_tensor(image)
         if before is not None:
             check_matrix(self, before, x)
-        call_labels = settings = None
-        if len(keys) > 1:
+        call_labels, settings = None, self._label_settings if len(keys) > 1 else None
+        if settings is not None:
             shape = tuple(x.shape) if isinstance(x, Tensor) else largest_shape(x)
-            settings = self._label_settings
             call_labels = CallLabels(keys, inputs, settings, shape, not isinstance(x, Tensor))
         time = 0 if videos is None else videos.sizes[1]
         y, record = self._execute(x, params, self._context(seed, generator, time, call_labels, source))
         record.size, record.videos = tuple(y.shape[2:]), videos
-        if settings is not None:
-            record.labels = LabelRecord(settings, record.shape, record.size)
-            outputs = record.labels.move(keys, inputs, record.stages)
-            for i, (key, value) in enumerate(zip(keys, inputs)):
-                if key == DataKey.INPUT and i != first:  # a second image gets the same
-                    context = self._context(None, None, time)
-                    z, _ = self._execute(self.transform_tensor(value), self._read_params(record), context)
-                    outputs[i] = self._restored(z, value)
-        else:
+        if settings is None:
             outputs = [y]
+            record.stages.forget()
+        else:
+            outputs = self._with_labels(keys, inputs, record, settings)
+        for i, (key, value) in enumerate(zip(keys, inputs)):
+            if key == DataKey.INPUT and i != first:  # a second image gets the same
+                context = self._context(None, None, time)
+                z, _ = self._execute(self.transform_tensor(value), self._read_params(record), context)
+                outputs[i] = self._restored(z, value)
         outputs[first] = self._restored(y, image)
-        record.stages.forget()
         return as_videos(videos, outputs, restore), record
 
     def _move_alone(self, keys: list[DataKey], inputs: list[Any], params: Any) -> tuple[list[Any], Record]:
@@ -370,12 +361,10 @@ class AugmentationSequential(ImageSequential):
             each = [view._move_alone(keys, parts.inputs(rows, keys, inputs), None) for view, rows in views]
             moved = Parts(parts.op, parts.rows, [record for _, record in each])
             return parts.outputs(keys, inputs, [outputs for outputs, _ in each]), Record.of_parts(moved)
-        last, record = self._record, self._record_of(_no_image(), params)
+        last, record = self._record, self._record_of(_no_image(), params).replaced()
         inputs, restore = as_frames(last.videos, keys, inputs)
-        moves = LabelRecord(self._label_settings, record.shape, record.size)
-        outputs = moves.move(keys, inputs, record.stages)
-        record.stages.forget()
-        return as_videos(last.videos, outputs, restore), last.replaced(labels=moves)
+        outputs = self._with_labels(keys, inputs, record, self._label_settings)
+        return as_videos(last.videos, outputs, restore), last.replaced(labels=record.labels)
 
     @property
     def _label_settings(self) -> LabelSettings:
@@ -394,7 +383,7 @@ class AugmentationSequential(ImageSequential):
         """The layout of videos, which containers with a VideoSequential take."""
         for child in self._modules.values():
             if isinstance(child, VideoSequential):
-                return VideoLayout.of("AugmentationSequential", child.data_format, videos)
+                return VideoLayout.of(_OP, child.data_format, videos)
         return None
 
     # --- labels of the last call ---
@@ -402,11 +391,7 @@ class AugmentationSequential(ImageSequential):
     @property
     def kept_boxes(self) -> list[Any]:
         """Which boxes of the last call passed the filter: bool (B, N), or a list of (N,), for each input; empty without one."""
-        record = self._record
-        if record.parts is not None:
-            return [record.parts.join(each) for each in zip(*(view.kept_boxes for view in record.parts.views(self)))]
-        kept = [] if record.labels is None else record.labels.kept_boxes
-        return [] if self.box_filter.does_nothing and not kept else labels_as_videos(record.videos, kept)
+        return self._read_labels(lambda moves: moves.kept_boxes)
 
     @property
     def visible_points(self) -> list[Any]:
@@ -414,13 +399,15 @@ class AugmentationSequential(ImageSequential):
 
         Points outside of the result are not visible, nor are those that were outside of one before it.
         """
+        return self._read_labels(LabelRecord.visible_points)
+
+    def _read_labels(self, read: Callable[[LabelRecord], list[Any]]) -> list[Any]:
+        """What the labels of the last call say, for each input."""
         record = self._record
         if record.parts is not None:
-            return [
-                record.parts.join(each) for each in zip(*(view.visible_points for view in record.parts.views(self)))
-            ]
-        visible = [] if record.labels is None else record.labels.visible_points()
-        return labels_as_videos(record.videos, visible)
+            each = [view._read_labels(read) for view in record.parts.views(self)]
+            return [record.parts.join(of_input) for of_input in zip(*each)]
+        return labels_as_videos(record.videos, [] if record.labels is None else read(record.labels))
 
     def inverse(
         self,
@@ -444,34 +431,31 @@ class AugmentationSequential(ImageSequential):
         return self._as_arguments(entries, outputs)
 
     def _invert_all(self, keys: list[DataKey], inputs: list[Any], params: Any) -> list[Any]:
-        parts = self._parts_of(params, inputs[keys.index(DataKey.INPUT)] if DataKey.INPUT in keys else None)
+        first = keys.index(DataKey.INPUT) if DataKey.INPUT in keys else None
+        parts = self._parts_of(params, None if first is None else inputs[first])
         if parts is not None:
             views = zip(parts.views(self), parts.rows)
             each = [view._invert_all(keys, parts.inputs(rows, keys, inputs), None) for view, rows in views]
             return parts.outputs(keys, inputs, each)
-        videos = self._record.videos
-        if DataKey.INPUT in keys:
-            videos = self._video_layout(inputs[keys.index(DataKey.INPUT)])
+        videos = self._record.videos if first is None else self._video_layout(inputs[first])
         inputs, restore = as_frames(videos, keys, inputs)
-        images = self.transform_tensor(inputs[keys.index(DataKey.INPUT)]) if DataKey.INPUT in keys else _no_image()
+        images = _no_image() if first is None else self.transform_tensor(inputs[first])
         record = self._record_to_invert(images, params)
-        stages, size = record.stages, record.size
-        outputs = []
-        for key, value in zip(keys, inputs):
-            if key == DataKey.INPUT:
-                back = inverse_at(self.transform_tensor(value), size, stages.invert)
-                outputs.append(self._restored(back, value))
-            elif key == DataKey.MASK:
-                outputs.append(_masks_back(value, stages, size, 1 if record.shape is None else record.shape[0]))
-            elif key == DataKey.KEYPOINTS:
-                numbers = 2 if record.shape is None else len(record.shape) - 2
-                outputs.append(labels.move_points(value, stages.move_points_back, numbers))
-            elif key in labels.BOX_FORMATS:
-                move = functools.partial(move_boxes_back, stages)
-                outputs.append(labels.move_boxes(value, labels.BOX_FORMATS[key], move)[0])
-            else:
-                outputs.append(value)
-        return as_videos(videos, outputs, restore)
+        return as_videos(videos, [self._moved_back(key, x, record) for key, x in zip(keys, inputs)], restore)
+
+    def _moved_back(self, key: DataKey, value: Any, record: Record) -> Any:
+        """Results of a call, or what belongs to them, moved back to the images before it."""
+        stages, size, shape = record.stages, record.size, record.shape or ()
+        if key == DataKey.INPUT:
+            return self._restored(inverse_at(self.transform_tensor(value), size, stages.invert), value)
+        if key == DataKey.MASK:
+            return _masks_back(value, stages, size, shape[0])
+        if key == DataKey.KEYPOINTS:
+            return labels.move_points(value, stages.move_points_back, len(shape) - 2)
+        if key in labels.BOX_FORMATS:
+            move = functools.partial(move_boxes_back, stages)
+            return labels.move_boxes(value, labels.BOX_FORMATS[key], move)[0]
+        return value
 
     def known_pixels(self, output: Tensor, params: Sequence[ParamItem] | None = None) -> Tensor:
         videos = None if isinstance(output, list) else self._video_layout(output)
@@ -508,6 +492,5 @@ def _check_rigid(container: nn.Module) -> None:
             _check_rigid(child)
         elif not isinstance(child, (RigidAffineAugmentationBase2D, RigidAffineAugmentationBase3D)):
             raise _NotRigidError(
-                "AugmentationSequential: expected children with matrices for transformation_matrix_mode 'rigid', got "
-                f"{type(child).__name__}"
+                f"{_OP}: expected children with matrices for transformation_matrix_mode 'rigid', got {type(child).__name__}"
             )

@@ -37,9 +37,9 @@ class CallContext(NamedTuple):
     source: Frames | None = None  # of which the images are, before the first child; these have no values then
 
     @classmethod
-    def of_module(cls, op: str, seed: Seed, generator: Generator | None) -> CallContext:
+    def of_module(cls, op: str, seed: Seed, generator: Generator | None, plans: Plans | None = None) -> CallContext:
         """That of a module by itself, without a container."""
-        return cls(op, seed, generator, False, Plans())
+        return cls(op, seed, generator, False, plans or Plans())
 
     def generator_of(self, module: nn.Module) -> Generator | None:
         """The generator that draws for a module; None for torch's."""

@@ -198,9 +198,7 @@ class PolicyAugmentBase(ImageSequential):
     def forward_parameters(self, batch_shape: Sequence[int]) -> list[ParamItem]:
         """Draw the parameters of a call on images of a shape, without executing it."""
         drawn = self._draw(torch.empty(batch_shape[0], device="cpu"), self._context(None, None))
-        record = Record(tuple(batch_shape))
-        record.drawn = drawn
-        self._keep(record)
+        self._keep(Record(tuple(batch_shape), drawn=drawn))
         return self._params
 
     # --- execution ---
@@ -211,9 +209,7 @@ class PolicyAugmentBase(ImageSequential):
     def _execute(self, x: Tensor, params: Sequence[ParamItem] | None, context: CallContext) -> tuple[Tensor, Record]:
         drawn = self._draw(x, context) if params is None else self._redrawn(params, x)
         y, stages = self._run(x, drawn)
-        record = Record(tuple(x.shape), (), stages)
-        record.drawn, record.size = drawn, tuple(y.shape[2:])
-        return y, record
+        return y, Record(tuple(x.shape), (), stages, drawn=drawn, size=tuple(y.shape[2:]))
 
     def _run(self, x: Tensor, drawn: Drawn) -> tuple[Tensor, Chain]:
         """Execute what was drawn; gives the images, and what labels have to follow."""

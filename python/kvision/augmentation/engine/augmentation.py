@@ -21,6 +21,7 @@ from kvision.augmentation.engine.list_calls import Parts, call_in_parts, shapes_
 from kvision.augmentation.engine.list_runs import run_list
 from kvision.augmentation.engine.lists import execute_list, list_plan
 from kvision.augmentation.engine.record import Child
+from kvision.augmentation.engine.stages import LabelSettings
 from kvision.augmentation.inputs import (
     as_batch,
     check_batch,
@@ -154,7 +155,7 @@ class AugmentationBase(Executor, keeps_contract=True):
         child, context = Child(op, self, params), CallContext.of_module(op, seed, generator, self._plans)
         if labels is not None:
             keys, inputs = [*keys, _KEYS[self.reads_labels or ""]], [images, labels]
-            context = context._replace(labels=CallLabels(keys, inputs, None, largest_shape(images), True))
+            context = context._replace(labels=CallLabels(keys, inputs, LabelSettings(), largest_shape(images), True))
         run, is_planned = None, flags is self.flags
         with nullcontext() if params is None else replaying(op, params):
             if is_planned and list_plan(self) is not None:

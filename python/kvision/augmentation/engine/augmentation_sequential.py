@@ -360,7 +360,7 @@ class AugmentationSequential(ImageSequential):
             views = zip(parts.views(self), parts.rows)
             each = [view._move_alone(keys, parts.inputs(rows, keys, inputs), None) for view, rows in views]
             moved = Parts(parts.op, parts.rows, [record for _, record in each])
-            return parts.outputs(keys, inputs, [outputs for outputs, _ in each]), Record.of_parts(moved)
+            return parts.outputs(keys, inputs, [outputs for outputs, _ in each]), Record(parts=moved)
         last, record = self._record, self._record_of(_no_image(), params).replaced()
         inputs, restore = as_frames(last.videos, keys, inputs)
         outputs = self._with_labels(keys, inputs, record, self._label_settings)

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from kvision.augmentation import labels
 from kvision.augmentation.engine.label_record import LabelRecord, moved_masks
-from kvision.augmentation.engine.stages import Chain, LabelSettings, MaskReading, Nested, Stage
+from kvision.augmentation.engine.stages import Chain, LabelSettings, Nested, Stage
 from kvision.augmentation.labels import BOX_FORMATS, BoxFilter
 from kvision.constants import DataKey
 
@@ -22,7 +22,7 @@ class CallLabels(NamedTuple):
 
     keys: Sequence[DataKey]  # what the values are
     values: Sequence[Any]  # images and labels as the call has them
-    settings: LabelSettings | None  # those of the container
+    settings: LabelSettings  # those of the container
     images: Size  # the shape (B, C, H, W) of the images; of a list of images the largest one
     is_list: bool = False  # the call has a list of images
     stages: Sequence[Stage] = ()  # what has been done to the images in the container
@@ -36,7 +36,7 @@ class CallLabels(NamedTuple):
 
     def inside(self, settings: LabelSettings | None) -> CallLabels:
         """The labels in a container that is the next child, with its settings."""
-        own = _of_steps(settings)
+        own = None if settings is None else _of_steps(settings)
         return self.of_samples(lambda stages: Nested(stages, own), None)
 
     def of_samples(self, wrap: Callable[[list[Stage]], Stage], rows: Sequence[int] | None) -> CallLabels:
@@ -54,7 +54,7 @@ class CallLabels(NamedTuple):
             return None
         stages, moved = self._chain(), [value for _, value in known]
         if stages:
-            record = LabelRecord(_of_steps(self.settings) or LabelSettings(), self.images, shape[2:])
+            record = LabelRecord(_of_steps(self.settings), self.images, shape[2:])
             moved = record.move([key for key, _ in known], moved, Chain(stages))
         edges = [
             labels.box_edges(now, BOX_FORMATS[key], self.images[0], value) for (key, value), now in zip(known, moved)
@@ -73,14 +73,9 @@ class CallLabels(NamedTuple):
 
     def masks(self) -> list[Any]:
         """Those of all inputs, in the form in which they were given."""
-        settings = self.settings
-        reading = MaskReading() if settings is None or settings.masks is None else settings.masks
-        stages = Chain(self._chain())
-        return [
-            moved_masks(value, stages, reading, self.images)
-            for key, value in zip(self.keys, self.values)
-            if key == DataKey.MASK
-        ]
+        stages, reading = Chain(self._chain()), self.settings.masks
+        masks = [value for key, value in zip(self.keys, self.values) if key == DataKey.MASK]
+        return [moved_masks(value, stages, reading, self.images) for value in masks]
 
     def masks_of_samples(self, frames: int = 1) -> list[Any] | None:
         """Those of all inputs (B, C, H, W), of a list of images a list of (N, H, W); None if the call has no masks."""
@@ -98,13 +93,13 @@ class CallLabels(NamedTuple):
         return x if self.rows is None else x[torch.tensor(self.rows, device="cpu").to(x.device, non_blocking=True)]
 
     def _chain(self, inner: Sequence[Stage] = ()) -> list[Stage]:
-        """All stages from the images of the call."""
+        """All stages from the images of the call, and then inner ones."""
         own = [*self.stages, *inner]
         if self.outer is None or self.wrap is None:
             return own
         return self.outer._chain([self.wrap(own)])
 
 
-def _of_steps(settings: LabelSettings | None) -> LabelSettings | None:
+def _of_steps(settings: LabelSettings) -> LabelSettings:
     """Settings without what is done to boxes at the end of a container."""
-    return None if settings is None else settings._replace(box_filter=BoxFilter(settings.clips_each))
+    return settings._replace(box_filter=BoxFilter(settings.clips_each))

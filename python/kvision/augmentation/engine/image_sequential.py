@@ -371,10 +371,10 @@ class ImageSequential(ImageSequentialBase):
             results = run_list(inputs[keys.index(DataKey.INPUT)], self._own_children(), context)
             if results is not None:
                 y, of_run = results
-                return self._with_labels_of_list(keys, inputs, y, of_run), Record.of_parts(of_run)
+                return self._with_labels_of_list(keys, inputs, y, of_run), Record(parts=of_run)
         call = functools.partial(self._call_part, keys)
         outputs, parts = call_in_parts(list(self.modules()), keys, inputs, params, seed, generator, call)
-        return outputs, Record.of_parts(parts)
+        return outputs, Record(parts=parts)
 
     def _with_labels_of_list(self, keys: Sequence[DataKey], inputs: Sequence[Any], y: Any, parts: Any) -> list[Any]:
         """What the inputs of a call on a list become, whose images became y."""
@@ -456,10 +456,9 @@ class ImageSequential(ImageSequentialBase):
             y, stages = execute(x, children, context)
         if dtype is not None and self.output_dtype is None:
             y = in_wider_type(y, dtype)
-        record = Record(tuple(x.shape) if isinstance(x, Tensor) else None, children, Chain(stages))
-        record.size, record.is_of_list = tuple(y.shape[2:]), isinstance(x, list)
-        record.identity = matrix_type(y)
-        return y, record
+        size, is_of_list = tuple(y.shape[2:]), isinstance(x, list)
+        values: dict[str, Any] = {"size": size, "is_of_list": is_of_list, "identity": matrix_type(y)}
+        return y, Record(None if is_of_list else tuple(x.shape), children, Chain(stages), **values)
 
     def _in_turns(
         self, x: Any, params: Sequence[Any] | None, context: CallContext

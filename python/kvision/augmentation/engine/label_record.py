@@ -42,7 +42,7 @@ class LabelRecord:
         moved, has_others = list(values), False
         for i, key in enumerate(keys):
             if key == DataKey.MASK:
-                moved[i] = self.move_masks(moved[i], stages)
+                moved[i] = moved_masks(moved[i], stages, self.settings.masks, self.shape)
             elif key != DataKey.INPUT:
                 has_others = True
         if not has_others:
@@ -128,10 +128,8 @@ class LabelRecord:
         """The boxes whose centers are in the results of those of the stages that remove others; nothing where none does."""
         kept: Kept = {}
         for i, key in enumerate(keys) if stages.removes_boxes else ():
-            if (
-                key in BOX_FORMATS
-                and (own := labels.kept_boxes(values[i], BOX_FORMATS[key], stages.keeps_centers)) is not None
-            ):
+            own = labels.kept_boxes(values[i], BOX_FORMATS[key], stages.keeps_centers) if key in BOX_FORMATS else None
+            if own is not None:
                 kept[i] = own
         return kept
 
@@ -192,12 +190,6 @@ class LabelRecord:
             else:
                 visible = type(own)(a & b for a, b in zip(visible, own))
         return visible
-
-    # --- masks ---
-
-    def move_masks(self, masks: Any, stages: Chain) -> Any:
-        """Masks of the images of the call after stages."""
-        return moved_masks(masks, stages, self.settings.masks or MaskReading(), self.shape)
 
 
 def moved_masks(masks: Any, stages: Chain, reading: MaskReading, images: Size | None) -> Any:

@@ -215,13 +215,10 @@ class PatchSequential(ImageSequential):
             executed = self._run_chains(cells, chains, context)
         is_cropped = any(pad) and self.padding == "valid"
         moves = is_cropped or any(getattr(child.module, "_moves_labels", False) for _, child in executed)
-        record = Record(tuple(x.shape), (), Chain([Cells()] if moves else []))
-        record.cell_count = len(cells)
-        record.cells, record.items = executed, None if params is None else list(params)
         cells = [in_wider_type(cell, dtype) for cell in cells]
         y = self.restore_from_patches(torch.stack(cells, 1), pad=pad)
-        record.size = tuple(y.shape[2:])
-        return y, record
+        stages, items = Chain([Cells()] if moves else []), None if params is None else list(params)
+        return y, Record(tuple(x.shape), (), stages, size=tuple(y.shape[2:]), cells=executed, items=items)
 
     def _run_chains(
         self, cells: list[Tensor], chains: Sequence[Sequence[Child]], context: CallContext

@@ -85,6 +85,7 @@ class Record:
         shape: of the images, (B, C, H, W); None before the first call.
         children: those that were executed, in their order.
         stages: what they did to the positions of pixels.
+        **values: what is listed below.
     """
 
     items: list[Any] | None = None  # the parameters by name, where they were given or have been read
@@ -96,26 +97,23 @@ class Record:
     labels: LabelRecord | None = None
     drawn: Any = None  # of policies
     cells: Sequence[tuple[list[int] | None, Child]] = ()  # of grids: the numbers of cells with their child
-    cell_count: int = 0  # of grids
     chosen: Tensor | None = None  # (B,) bool, the samples that the container as a whole has augmented; None for all
 
     def __init__(
-        self, shape: tuple[int, ...] | None = None, children: Sequence[Child] = (), stages: Chain | None = None
+        self,
+        shape: tuple[int, ...] | None = None,
+        children: Sequence[Child] = (),
+        stages: Chain | None = None,
+        **values: Any,
     ) -> None:
         self._shape, self.children, self.stages = shape, children, stages or Chain()
+        self.__dict__.update(values)
 
     @property
     def shape(self) -> tuple[int, ...] | None:
         if self._shape is None and (self.is_of_list or self.parts is not None):  # which is read where it is asked for
             self._shape = self.children[0].record.shape if self.parts is None else self.parts.shape
         return self._shape
-
-    @classmethod
-    def of_parts(cls, parts: Any) -> Record:
-        """A call on a list, in parts."""
-        record = cls()
-        record.parts = parts
-        return record
 
     def identity_matrix(self) -> Tensor:
         """Identity matrices for the samples of images or volumes of the call, on their device."""
@@ -126,6 +124,4 @@ class Record:
 
     def replaced(self, **values: Any) -> Record:
         """The same call with other values."""
-        record, shape = Record(), self.shape
-        record.__dict__.update(self.__dict__, _shape=shape, **values)
-        return record
+        return Record(**{**self.__dict__, "_shape": self.shape, **values})

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -30,9 +30,7 @@ class MaskReading(NamedTuple):
 
     def inside(self, settings: LabelSettings | None) -> MaskReading:
         """The same inside of a container with settings."""
-        if self.is_fixed or settings is None or settings.masks is None or settings.has_default_masks:
-            return self
-        return settings.masks
+        return self if self.is_fixed or settings is None or settings.has_default_masks else settings.masks
 
 
 KNOWN = MaskReading("bilinear", None, True)  # of masks of the pixels that are known
@@ -43,12 +41,8 @@ class LabelSettings(NamedTuple):
 
     clips_each: bool = False  # boxes end at the edges of the image after each stage
     box_filter: BoxFilter = BoxFilter()
-    masks: MaskReading | None = None
+    masks: MaskReading = MaskReading()
     has_default_masks: bool = False  # `masks` is only for a container by itself; the one around it decides
-
-    @property
-    def changes_boxes(self) -> bool:
-        return not self.box_filter.does_nothing
 
 
 class Stage:
@@ -60,22 +54,15 @@ class Stage:
         return True
 
     @property
-    def mixes_samples(self) -> bool:
-        """Whether samples of the batch were mixed."""
-        return False
-
-    @property
-    def changes_boxes(self) -> bool:
-        """Whether a container inside cuts or removes boxes."""
-        return False
-
-    @property
     def removes_boxes(self) -> bool:
         """Whether `keeps_centers` removes any."""
         return False
 
     def concerns_all(self, has_boxes: bool) -> bool:
-        """Whether labels follow this stage together, those of different kinds and all samples, and no other stage with it."""
+        """Whether labels follow this stage together, those of different kinds and all samples, and no other stage with it.
+
+        So it is where samples were mixed, and where a container inside cuts or removes boxes, if there are any.
+        """
         return False
 
     def source_size(self) -> tuple[int, ...] | None:
@@ -132,9 +119,6 @@ class Chain(Stage):
     def __init__(self, stages: Sequence[Stage] = ()) -> None:
         self.stages = stages  # dynamo traces no subclass of list, and no generator as argument
 
-    def __iter__(self) -> Iterator[Stage]:
-        return iter(self.stages)
-
     def __getitem__(self, index: int) -> Stage:
         return self.stages[index]
 
@@ -143,16 +127,11 @@ class Chain(Stage):
         return all(stage.keeps_lines for stage in self.stages)
 
     @property
-    def mixes_samples(self) -> bool:
-        return any(stage.mixes_samples for stage in self.stages)
-
-    @property
-    def changes_boxes(self) -> bool:
-        return any(stage.changes_boxes for stage in self.stages)
-
-    @property
     def removes_boxes(self) -> bool:
         return any(stage.removes_boxes for stage in self.stages)
+
+    def concerns_all(self, has_boxes: bool) -> bool:
+        return any(stage.concerns_all(has_boxes) for stage in self.stages)
 
     def source_size(self) -> tuple[int, ...] | None:
         sizes = [stage.source_size() for stage in self.stages]
@@ -215,12 +194,9 @@ class Nested(Chain):
         super().__init__(stages)
         self.labels = labels
 
-    @property
-    def changes_boxes(self) -> bool:
-        return (self.labels is not None and self.labels.changes_boxes) or super().changes_boxes
-
     def concerns_all(self, has_boxes: bool) -> bool:
-        return self.mixes_samples or (has_boxes and self.changes_boxes)
+        filters = self.labels is not None and not self.labels.box_filter.does_nothing
+        return (has_boxes and filters) or super().concerns_all(has_boxes)
 
     def move_masks(self, masks: Tensor, reading: MaskReading) -> Tensor:
         return super().move_masks(masks, reading.inside(self.labels))
@@ -287,10 +263,6 @@ class Applied(Stage):
     @property
     def keeps_lines(self) -> bool:
         return self.module.keeps_lines
-
-    @property
-    def mixes_samples(self) -> bool:
-        return self.module.mixes_samples
 
     @property
     def removes_boxes(self) -> bool:
@@ -366,7 +338,6 @@ class Composed(Resampled, Chain):
         return x if x.dtype == dtype else x.new_empty(0, dtype=dtype)
 
     def forget(self) -> None:
-        """Free the displacements. They can be computed again from what was drawn."""
         self._links = None
 
     def flat(self) -> list[Stage]:
@@ -408,11 +379,6 @@ class Composed(Resampled, Chain):
                 back, inside = maps.find_everywhere(displacements, points.unflatten(1, size))
                 points, converged = back.flatten(1, 2), converged & inside
         return points.unflatten(1, size), converged[:, None]
-
-    def product(self, matrix: Tensor) -> Tensor:
-        for stage in self.stages:
-            matrix = stage.product(matrix) if isinstance(stage, ByMatrix) else matrix  # maps have none
-        return matrix
 
 
 def _refuse(self: Any, *_: Any) -> Any:

@@ -249,7 +249,7 @@ class Turns(Chain):
         self.wanted = wanted
 
     def concerns_all(self, has_boxes: bool) -> bool:
-        if has_boxes and self.changes_boxes:
+        if super().concerns_all(has_boxes):  # nothing here mixes samples
             raise ValueCheckError(
                 "AugmentationSequential: expected containers that filter no boxes inside of a choice of each sample; filter them "
                 "in the container around it"

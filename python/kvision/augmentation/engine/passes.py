@@ -7,7 +7,7 @@ augmentations that run by themselves.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -21,12 +21,15 @@ from kvision.augmentation.displacements import NoiseField
 from kvision.augmentation.drawn_links import DrawnLinks
 from kvision.augmentation.drawn_pass import DrawnPass
 from kvision.augmentation.engine.contribution import Motion
-from kvision.augmentation.engine.execution import Execution, Shape, check_images
+from kvision.augmentation.engine.execution import Execution, check_images
 from kvision.augmentation.engine.executor import Executor
 from kvision.augmentation.engine.stages import Applied, ByMatrix, Composed, Stage, Warp
 from kvision.augmentation.samples import where_chosen
 from kvision.augmentation.transforms import MAX_TRANSFORMS, MatrixPlan, Transform, keeps_rows, transform_matrix
 from kvision.augmentation.warp_and_color import SAME, ColorPart, Output, Pass, Resampling, fits_one_program, make_pass
+
+# Gives the map of an augmentation of a run for kernels that draw its noise; None if it is another map.
+NoiseFields = Callable[[int], NoiseField | None]
 
 # --- steps ----------------------------------------------------------------------------------------------------------
 
@@ -72,7 +75,7 @@ class Alone(NamedTuple):
         running.result = None
         return y, applied
 
-    def drawn_with(self, draws: DrawPlan, planned: Planned) -> None:
+    def drawn_with(self, draws: DrawPlan, x: Tensor, noise_field: NoiseFields) -> None:
         return None
 
 
@@ -115,8 +118,9 @@ class Joined(NamedTuple):
         assert self.resampling is not None
         return Warp(matrix, self.source, self.size, self.resampling, parts=running.parts(self.geometric))
 
-    def drawn_with(self, draws: DrawPlan, planned: Planned) -> DrawnPass:
-        return DrawnPass(draws, self.image_pass, planned.shapes[0], planned.dtype)
+    def drawn_with(self, draws: DrawPlan, x: Tensor, noise_field: NoiseFields) -> DrawnPass:
+        """The draws with the pass over images like x by one kernel."""
+        return DrawnPass(draws, self.image_pass, tuple(x.shape), x.dtype)
 
 
 class Composition(NamedTuple):
@@ -149,35 +153,14 @@ class Composition(NamedTuple):
         composed = Composed(*sizes, self.resampling, links, self.antialias, drawn, parts=parts)
         return composed.run(x), composed
 
-    def drawn_with(self, draws: DrawPlan, planned: Planned) -> DrawnLinks | None:
+    def drawn_with(self, draws: DrawPlan, x: Tensor, noise_field: NoiseFields) -> DrawnLinks | None:
         """The draws with the links by one kernel; None if it does not serve all."""
-        drawn: list[MatrixPlan | NoiseField] = []
-        for link in self.links:
-            own: MatrixPlan | NoiseField | None = link if isinstance(link, MatrixPlan) else planned.noise_field(link)
-            if own is None:
-                return None
-            drawn.append(own)
-        return DrawnLinks(draws, drawn)
+        each = [link if isinstance(link, MatrixPlan) else noise_field(link) for link in self.links]
+        served = [link for link in each if link is not None]
+        return DrawnLinks(draws, served) if len(served) == len(each) else None
 
 
 Step = Joined | Composition | Alone
-
-
-class Planned(NamedTuple):
-    """What steps know of a run when they are planned."""
-
-    modules: Sequence[Any]  # augmentations
-    shapes: Sequence[Shape]  # of the images of each
-    dtype: torch.dtype  # of those of the first one
-    # Of each that draws, the number of its key and False, or under a seed its position in the chain and True.
-    keys: Sequence[tuple[int, bool] | None]
-
-    def noise_field(self, number: int) -> NoiseField | None:
-        """The map of an augmentation for kernels that draw its noise; None if it is another map."""
-        key, field = self.keys[number], None
-        if key is not None:
-            field = self.modules[number]._noise_field(self.shapes[number], *key)
-        return field
 
 
 # --- the planner ----------------------------------------------------------------------------------------------------

@@ -26,6 +26,7 @@ from torch import Tensor
 
 from kvision._constants import constant
 from kvision.augmentation.columns import Columns, DrawPlan, Span, identity_values, plan_draws
+from kvision.augmentation.displacements import NoiseField
 from kvision.augmentation.drawn_links import DrawnLinks
 from kvision.augmentation.drawn_pass import DrawnPass
 from kvision.augmentation.draws import Request
@@ -34,15 +35,14 @@ from kvision.augmentation.engine.configuration import Plans
 from kvision.augmentation.engine.declaration import size_of
 from kvision.augmentation.engine.execution import Execution, Shape, matrix_type
 from kvision.augmentation.engine.executor import Executor
-from kvision.augmentation.engine.frames import frames_pass
 from kvision.augmentation.engine.list_calls import SIZES
 from kvision.augmentation.engine.lists import ListCall, ListWarp, chain_of_list, execute_list, list_plan
-from kvision.augmentation.engine.passes import Alone, Joined, Planned, Running, Step, plan_steps
+from kvision.augmentation.engine.passes import Alone, Joined, Running, Step, plan_steps
 from kvision.augmentation.engine.record import Child
 from kvision.augmentation.engine.stages import Applied, Stage
 from kvision.augmentation.keys import Keys, check_seeds
 from kvision.augmentation.transforms import Transform
-from kvision.augmentation.warp_and_color import SAME
+from kvision.augmentation.warp_and_color import SAME, frames_pass
 from kvision.augmentation.warp_and_color_list import warp_and_color_list
 from kvision.color.frames import Frames
 from kvision.geometry.transform.lists.arguments import like_batch
@@ -229,23 +229,15 @@ def _lengths_of_runs(children: Sequence[Child]) -> list[tuple[int, bool]]:
     before: Child | None = None
     for child in children:
         module: Any = child.module
-        is_augmentation = hasattr(module, "_contribution")
-        if before is not None and is_augmentation and _draw_together(before, child):
+        runs_alone = not hasattr(module, "_contribution") or module.needs_masks
+        # What gives another size than expected ends a run.
+        has_known_size = not runs_alone and module.has_known_size and not module._is_customized()
+        if before is not None and has_known_size and (child.params is None) == (before.params is None):
             lengths[-1] = (lengths[-1][0] + 1, True)
         else:
-            lengths.append((1, is_augmentation and not module.needs_masks))
-        # What has another size than expected ends a run.
-        before = child if is_augmentation and _has_known_size(module) else None
+            lengths.append((1, not runs_alone))
+        before = child if has_known_size else None
     return lengths
-
-
-def _draw_together(before: Child, child: Child) -> bool:
-    return _has_known_size(child.module) and (child.params is None) == (before.params is None)
-
-
-def _has_known_size(module: Any) -> bool:
-    """Whether the size of the result is known before the augmentation runs, and so are the labels that it reads."""
-    return module.has_known_size and not module.needs_masks and not module._is_customized()
 
 
 # --- runs of augmentations ------------------------------------------------------------------------------------------
@@ -438,8 +430,7 @@ def plan_run(
             if decides(module) and not context.is_certain:
                 # What changes sizes by chance decides with its key on the host, before those after it are planned.
                 keys = context.keys(drawing, x, keys)
-        known = None if request is None else keys
-        applies = context.is_certain or module._applies(known, first + number if has_seed else number)
+        applies = context.is_certain or module._applies(None if request is None else keys, first + number)
         is_certain = not has_owners and (context.is_certain or module._is_certain)
         calls.append(Call(shape, applies, is_certain, None if request is None else number, None))
         if applies:
@@ -447,21 +438,7 @@ def plan_run(
     if keys is not None:
         keys = context.keys(drawing, x, keys)
     draws = plan_draws(requests, has_seed, first) if requests else []
-    spans: list[Span] = []  # of requests
-    width = 0
-    for draw in draws:
-        spans += [span.moved(width) for span in draw.spans]
-        width += draw.plan[0]
-    for i, (module, call) in enumerate(zip(modules, calls)):
-        if call.number is None:
-            continue
-        span = spans[call.number]
-        if not module._derives:
-            calls[i] = call._replace(span=span)
-        elif call.applies:
-            count = len(module._identity_values(call.shape, torch.empty(0, device="cpu"))[0]) + span.has_chosen
-            calls[i] = call._replace(span=Span(width, count, span.has_chosen), derived_from=span)
-            width += count
+    calls, spans, width = _with_spans(calls, modules, draws)
     planned = [
         Execution(call.shape, None if call.span is None else Columns(x, call.span), applied=call.applies)
         for call in calls
@@ -474,10 +451,36 @@ def plan_run(
         owners, identity = _owners_of_columns(requests, spans)
         plan = plan._replace(owners=owners, identity=identity)
     elif steps and len(draws) == 1 and context.frames == 1 and not derives:
-        keys_of = [None if call.number is None else (first + call.number, has_seed) for call in calls]
-        drawn = steps[0].drawn_with(draws[0], Planned(modules, [call.shape for call in calls], x.dtype, keys_of))
-        plan = plan._replace(drawn=drawn)
+
+        def noise_field(number: int) -> NoiseField | None:
+            module: Any = modules[number]  # a map
+            call = calls[number]
+            return None if call.number is None else module._noise_field(call.shape, first + call.number, has_seed)
+
+        plan = plan._replace(drawn=steps[0].drawn_with(draws[0], x, noise_field))
     return plan, keys
+
+
+def _with_spans(
+    calls: Sequence[Call], modules: Sequence[Executor], draws: Sequence[DrawPlan]
+) -> tuple[list[Call], list[Span], int]:
+    """The calls with their columns, the columns of each request, and how many columns there are."""
+    with_spans: list[Call] = []
+    spans: list[Span] = []
+    width = 0
+    for draw in draws:
+        spans += [span.moved(width) for span in draw.spans]
+        width += draw.plan[0]
+    for module, call in zip(modules, calls):
+        span = None if call.number is None else spans[call.number]
+        if span is not None and not module._derives:
+            call = call._replace(span=span)
+        elif span is not None and call.applies:
+            count = len(module._identity_values(call.shape, torch.empty(0, device="cpu"))[0]) + span.has_chosen
+            call = call._replace(span=Span(width, count, span.has_chosen), derived_from=span)
+            width += count
+        with_spans.append(call)
+    return with_spans, spans, width
 
 
 def _owners_of_columns(requests: Sequence[Request], spans: Sequence[Span]) -> tuple[Tensor, tuple[float, ...]]:

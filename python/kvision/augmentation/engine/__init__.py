@@ -56,9 +56,9 @@ from kvision.augmentation.engine.execution import (
     matrix_type,
     replaying,
 )
-from kvision.augmentation.engine.image_sequential import ImageSequential, ImageSequentialBase, ParamItem, checked_items
+from kvision.augmentation.engine.image_sequential import ImageSequential, ImageSequentialBase, checked_items
 from kvision.augmentation.engine.patch_sequential import PatchSequential
-from kvision.augmentation.engine.record import Child, Record
+from kvision.augmentation.engine.record import Child, ParamItem, Record
 from kvision.augmentation.engine.stages import Applied, Chain, Warp
 from kvision.augmentation.engine.turns import Turn, joins
 from kvision.augmentation.engine.video_sequential import VideoSequential

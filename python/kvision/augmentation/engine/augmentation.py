@@ -47,15 +47,6 @@ from kvision.color.frames import Frames
 from kvision.constants import DataKey
 from kvision.geometry.transform.lists.arguments import largest_shape
 
-__all__ = [
-    "AugmentationBase",
-    "AugmentationBase2D",
-    "AugmentationBase3D",
-    "RigidAffineAugmentationBase2D",
-    "RigidAffineAugmentationBase3D",
-]
-
-
 _KEYS = {"boxes": DataKey.BBOX_XYXY, "masks": DataKey.MASK}  # of labels that draws read
 
 
@@ -113,12 +104,14 @@ class AugmentationBase(Executor, keeps_contract=True):
                 tensor and of matrices.
             ValueError: `input` has another number of axes; matrices have another shape.
         """
+        returns = self.return_transform if return_transform is None else return_transform
         if type(input) is Tensor:
             given, before = input, None
         else:
             given, before = image_and_matrix(self, input.rgb() if isinstance(input, Frames) else input)
             if isinstance(given, list):
-                return self._call_on_list(given, params, seed, generator, return_transform, kwargs)
+                y, execution = self._call_on_list(given, params, seed, generator, kwargs)
+                return with_matrix(y, None, self._matrix(execution).to(given[0].device) if returns else None)
         image = plain_image(self, given)
         x = self.transform_tensor(image)
         if before is not None:
@@ -135,18 +128,11 @@ class AugmentationBase(Executor, keeps_contract=True):
             y = self._restored(y, image)
         if image is not given:
             y = wrap(y, given)
-        returns = self.return_transform if return_transform is None else return_transform
         return with_matrix(y, before, self._matrix(execution).to(y.device) if returns else None)
 
     def _call_on_list(
-        self,
-        given: list[Tensor],
-        params: Params | None,
-        seed: Seed,
-        generator: Generator | None,
-        return_transform: bool | None,
-        kwargs: dict[str, Any],
-    ) -> Any:
+        self, given: list[Tensor], params: Any, seed: Seed, generator: Generator | None, kwargs: dict[str, Any]
+    ) -> tuple[Any, Execution]:
         """Augment a list of images (C, H, W): in the launches of a batch, and where there are no such image by image."""
         op, labels = type(self).__name__, None if self.reads_labels is None else kwargs.pop(self.reads_labels, None)
         flags, plain = self._flags_of(kwargs), plain_image(self, given)
@@ -170,9 +156,7 @@ class AugmentationBase(Executor, keeps_contract=True):
                     (y, *_), parts = call_in_parts([self], keys, inputs, params, seed, generator, call)
                     child.record = ListExecution(parts)
         self._execution = child.record
-        y = y if plain is given else wrap(y, given)
-        returns = self.return_transform if return_transform is None else return_transform
-        return with_matrix(y, None, self._matrix(child.record).to(images[0].device) if returns else None)
+        return y if plain is given else wrap(y, given), child.record
 
     def _call_part(
         self, flags: dict[str, Any], inputs: Sequence[Any], params: Any, seed: Seed, generator: Generator | None

@@ -14,11 +14,11 @@ from kvision._choices import EachOrOnce, MatrixMode, OutputType
 from kvision.augmentation import labels
 from kvision.augmentation.engine.augmentation import RigidAffineAugmentationBase2D, RigidAffineAugmentationBase3D
 from kvision.augmentation.engine.call_labels import CallLabels
-from kvision.augmentation.engine.image_sequential import ImageSequential, ParamItem
+from kvision.augmentation.engine.image_sequential import ImageSequential
 from kvision.augmentation.engine.label_moves import move_boxes_back
 from kvision.augmentation.engine.label_record import LabelRecord
 from kvision.augmentation.engine.list_calls import Parts
-from kvision.augmentation.engine.record import Record
+from kvision.augmentation.engine.record import ParamItem, Record
 from kvision.augmentation.engine.stages import Chain, LabelSettings, MaskReading
 from kvision.augmentation.engine.video_sequential import VideoSequential
 from kvision.augmentation.inputs import (
@@ -43,8 +43,6 @@ from kvision.color.frames import Frames
 from kvision.constants import AnyDataKey, DataKey, DataKeys, Resample
 from kvision.core.exceptions import BaseError, ValueCheckError
 from kvision.geometry.transform.lists.arguments import largest_shape
-
-__all__ = ["AugmentationSequential"]
 
 _OP = "AugmentationSequential"
 

@@ -12,8 +12,9 @@ from kvision import _check
 from kvision.augmentation.columns import DrawPlan, plan_draws
 from kvision.augmentation.draws import Draw, Request, uniform
 from kvision.augmentation.engine.call_context import CallContext
-from kvision.augmentation.engine.image_sequential import ImageSequential, ParamItem
+from kvision.augmentation.engine.image_sequential import ImageSequential
 from kvision.augmentation.engine.list_calls import Sizes, sizes_after
+from kvision.augmentation.engine.record import ParamItem
 from kvision.augmentation.engine.turns import Turn
 from kvision.augmentation.keys import check_seeds, draw_keys, refuse_capture, refuse_graphs, refuse_mapped
 from kvision.core.exceptions import TypeCheckError, ValueCheckError
@@ -161,6 +162,3 @@ def positional(
         )
     settings.update(zip(names, rest))
     return list(children)
-
-
-__all__ = ["ChoiceBase", "positional"]

@@ -81,13 +81,8 @@ def _noticing(name: str) -> Any:
     return changed
 
 
-SWITCHES = (
-    "align_corners",
-    "antialias",
-    "crop_if_exceeds",
-    "pad_if_needed",
-    "scale_window",
-)  # the flags that are True or False
+# The flags that are True or False.
+SWITCHES = ("align_corners", "antialias", "crop_if_exceeds", "pad_if_needed", "scale_window")
 
 
 class Flags(dict[str, Any]):

@@ -34,14 +34,7 @@ if TYPE_CHECKING:
     from kvision.augmentation.random_generator.base import RandomGeneratorBase
 
 _OVERRIDABLE = ("compute_transformation", "apply_transform")
-_REPLACEABLE = (
-    *_OVERRIDABLE,
-    "generate_parameters",
-    "apply_transform_mask",
-    "inverse_transform",
-    "inverse",
-    "displacements",
-)
+_OTHERS = ("generate_parameters", "apply_transform_mask", "inverse_transform", "inverse", "displacements")
 
 
 class KeepsArguments(nn.Module):
@@ -81,7 +74,9 @@ class Declaration(KeepsArguments):
     keeps_unchosen: ClassVar[bool] = False  # the drawn columns of samples that are not chosen leave them as they are
     fuses_noise: bool = False  # `apply_transform` takes "_noise" instead of the parameters of pixels
 
-    _own_methods: ClassVar[dict[str, Any]]  # by name, those of the class in `_REPLACEABLE` that keep the contract below
+    _own_methods: ClassVar[
+        dict[str, Any]
+    ]  # by name, those of the class that may be replaced and keep the contract below
 
     def __init_subclass__(cls, keeps_contract: bool = False, **options: Any) -> None:
         """Let methods of the class replace those of its bases without being called by themselves.
@@ -92,7 +87,7 @@ class Declaration(KeepsArguments):
         """
         super().__init_subclass__(**options)
         if keeps_contract:
-            cls._own_methods = {name: getattr(cls, name, None) for name in _REPLACEABLE}
+            cls._own_methods = {name: getattr(cls, name, None) for name in (*_OVERRIDABLE, *_OTHERS)}
 
     def __init__(
         self,

@@ -59,9 +59,6 @@ from kvision.constants import DataKey
 from kvision.core.exceptions import TypeCheckError, ValueCheckError
 from kvision.core.pixels import to_unit
 
-__all__ = ["ImageSequential", "ImageSequentialBase", "ParamItem"]
-
-_EACH_OR_ONCE = get_args(EachOrOnce)
 Children = Iterator[tuple[str, nn.Module]]
 
 
@@ -214,7 +211,7 @@ class ImageSequential(ImageSequentialBase):
     ) -> None:
         super().__init__(*args, same_on_batch=same_on_batch, keepdim=keepdim)
         op = type(self).__name__
-        _check.choice(op, "resample", resample, _EACH_OR_ONCE)
+        _check.choice(op, "resample", resample, get_args(EachOrOnce))
         if random_apply_weights is not None and len(random_apply_weights) != len(self):
             raise ValueCheckError(
                 f"{op}: expected {len(self)} random_apply_weights, one of each child, got {len(random_apply_weights)}"

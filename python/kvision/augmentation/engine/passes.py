@@ -126,9 +126,8 @@ class Joined(NamedTuple):
 class Composition(NamedTuple):
     """Augmentations that are executed by one resampling, some of which have no matrix or blur what becomes smaller."""
 
-    links: Sequence[
-        MatrixPlan | int
-    ]  # chains of matrices, and augmentations that are maps, by their numbers in the run
+    # Chains of matrices, and augmentations that are maps, by their numbers in the run.
+    links: Sequence[MatrixPlan | int]
     geometric: Sequence[int]  # the augmentations, by their numbers in the run
     source: tuple[int, int]
     size: tuple[int, int]

@@ -26,8 +26,6 @@ from kvision.augmentation.warp_and_color import SAME
 from kvision.core.exceptions import ShapeError, ValueCheckError
 from kvision.core.pixels import to_unit
 
-__all__ = ["PatchParamItem", "PatchSequential"]
-
 Padding = tuple[int, int, int, int]
 
 
@@ -240,15 +238,15 @@ class PatchSequential(ImageSequential):
         if not self.patchwise_apply:
             return [*super()._sequences_of_samples(context, samples // count)] * count
         sequences: list[Sequence[int]] = []
-        for seed in self._seeds_of_choices(count, context):
-            of_cell = context._replace(seed=seed, position=0)
+        for of_cell in self._contexts_of_cells(count, context):
             sequences += super()._sequences_of_samples(of_cell, samples // count)
         return sequences
 
-    def _seeds_of_choices(self, count: int, context: CallContext) -> list[Seed]:
-        """The seeds by which each cell gets children of its own."""
-        seed = context.seed
-        return [seed if seed is None else seed + ((context.position * count + i + 1) << 32) for i in range(count)]
+    def _contexts_of_cells(self, count: int, context: CallContext) -> list[CallContext]:
+        """The contexts with the seeds by which each cell gets children of its own."""
+        seed, first = context.seed, context.position * count + 1
+        seeds = [seed if seed is None else seed + ((first + i) << 32) for i in range(count)]
+        return [context._replace(seed=own, position=0) for own in seeds]
 
     def _cells(self, x: Tensor, pad: Padding) -> list[Tensor]:
         """The cells (B, C, h, w), by rows: views of the images."""
@@ -264,11 +262,7 @@ class PatchSequential(ImageSequential):
             return [self._children_of_call(None, context)] * count
         if self.random_apply is None:
             return [[child] for child in self._own_children()]
-        chains = []
-        for seed in self._seeds_of_choices(count, context):
-            chosen = self.get_random_forward_sequence(seed=seed, generator=context.generator_of(self))
-            chains.append([Child(name, module) for name, module in chosen])
-        return chains
+        return [self._children_of_call(None, of_cell) for of_cell in self._contexts_of_cells(count, context)]
 
     def _replayed_chains(self, count: int, params: Sequence[PatchParamItem]) -> list[list[Child]]:
         modules = dict(self.named_children())

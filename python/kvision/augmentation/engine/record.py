@@ -30,9 +30,8 @@ class Child:
     record: Any = None  # what it did: the Execution of an augmentation, the Record of a container
     samples: Sequence[int] | None = None  # of a batch, for which it was executed; None for all
     batch: int = 0  # of how many
-    rows: Sequence[int] | None = (
-        None  # those of the record that are of these samples, where they shared a run with others
-    )
+    # Those of the record that are of these samples, where they shared a run with others.
+    rows: Sequence[int] | None = None
     foreign_params: Any = None  # `_params` of a module that has no records, after its call
 
     def read_params(self) -> Any:

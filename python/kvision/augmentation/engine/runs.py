@@ -168,9 +168,8 @@ def _execute_list_run(
         x, matrix, columns, _ = result
     else:
         if keys is not None:
-            columns = (
-                plan.draws[0].draw_list(like, keys, *own.listed_draws()) if draws else plan.draws[0].draw(like, keys)
-            )
+            listed = own.listed_draws() if draws else ((), ())  # none are those of a batch
+            columns = plan.draws[0].draw_list(like, keys, *listed)
         columns = own.with_sizes(columns, like)
         x, matrix, _ = warp_and_color_list(images, *step.image_pass.arguments(like, columns))
     executions = plan.executions(like, columns, keys)

@@ -11,18 +11,12 @@ from torch import Generator, Tensor, nn
 from kvision import _check
 from kvision._choices import EachOrOnce, OutputType
 from kvision.augmentation.engine.call_context import CallContext
-from kvision.augmentation.engine.image_sequential import ImageSequential, ParamItem
-from kvision.augmentation.engine.record import Record
+from kvision.augmentation.engine.image_sequential import ImageSequential
+from kvision.augmentation.engine.record import ParamItem, Record
 from kvision.augmentation.engine.stages import Stage
-from kvision.augmentation.inputs import (
-    VideoLayout,
-    VideoRankError,
-)
+from kvision.augmentation.inputs import VideoLayout, VideoRankError
 from kvision.augmentation.keys import Seed
 from kvision.color.frames import Frames
-
-__all__ = ["VideoSequential"]
-
 
 VideoFormat: TypeAlias = Literal["BTCHW", "BCTHW"]
 

@@ -90,16 +90,9 @@ std::tuple<Tensor, Tensor, Tensor, Tensor, Tensor> draw_list_warp_and_color(Tens
   return {y, *matrix, columns, sizes_of(list, plan), means ? *means : columns};
 }
 
-// The same of images that keep their sizes. `linear` (3, N) has the numbers of the draws that are listed, as functions
-// of the size: a constant, and the factors of height and width. The plan has these draws behind the count of the draws'
-// numbers, and 1 instead of a size if there is a warp. Behind the results are matrices, columns and sizes.
-Tensors draw_warp_and_color_to_list(Tensors const& list, Tensor const& keys, std::optional<Tensor> const& seeds,
-                                    Tensor const& linear, Tensor const& plan, Tensor const& numbers) {
-  constexpr char const* op = "draw_warp_and_color_to_list";
-  PassImages const images(op, list);
-  PlanReader rest = read_plan(op, plan, numbers);
-  auto const draws = rest.next_list();
-  auto params = draws_of(images.like, keys, seeds, draws, rest.next_numbers(rest.next_count()));
+// The numbers of the draws of each image that are functions of its size, `linear` (3, N): a constant, and the factors
+// of height and width.
+std::vector<double> numbers_of_sizes(char const* op, Tensors const& list, Tensor const& linear) {
   KV_CHECK(linear.is_cpu() && linear.scalar_type() == ScalarType::Double && linear.is_contiguous() &&
                linear.dim() == 2 && linear.size(0) == 3,
            op, ": expected float64 numbers of shape (3, N) on the CPU");
@@ -112,12 +105,41 @@ Tensors draw_warp_and_color_to_list(Tensors const& list, Tensor const& keys, std
     for (int64_t k = 0; k < width; ++k)
       own.push_back(constant[k] + h * constant[width + k] + w * constant[2 * width + k]);
   }
+  return own;
+}
+
+// The columns alone, with numbers of the sizes of images, and these sizes (B, 2) on the CPU. The plan is that of the
+// draws, how many numbers belong to them, and the draws that are listed.
+std::tuple<Tensor, Tensor> draw_sized_parameters(Tensors const& list, Tensor const& keys,
+                                                 std::optional<Tensor> const& seeds, Tensor const& linear,
+                                                 Tensor const& plan, Tensor const& numbers) {
+  constexpr char const* op = "draw_sized_parameters";
+  PassImages const images(op, list);
+  PlanReader rest = read_plan(op, plan, numbers);
+  auto const draws = rest.next_list();
+  auto params = draws_of(images.like, keys, seeds, draws, rest.next_numbers(rest.next_count()), op);
+  std::vector<double> const own = numbers_of_sizes(op, list, linear);
+  list_draws(op, params, rest.next_list(), own);
+  auto const [columns, matrix] = draw_list_columns(op, images.like, params, own, size_t(linear.size(1)), ChainPlan{});
+  return {columns, sizes_of(list, plan)};
+}
+
+// The same of images that keep their sizes, with `linear` as above. The plan has the listed draws behind the count of
+// the draws' numbers, and 1 instead of a size if there is a warp. Behind the results are matrices, columns and sizes.
+Tensors draw_warp_and_color_to_list(Tensors const& list, Tensor const& keys, std::optional<Tensor> const& seeds,
+                                    Tensor const& linear, Tensor const& plan, Tensor const& numbers) {
+  constexpr char const* op = "draw_warp_and_color_to_list";
+  PassImages const images(op, list);
+  PlanReader rest = read_plan(op, plan, numbers);
+  auto const draws = rest.next_list();
+  auto params = draws_of(images.like, keys, seeds, draws, rest.next_numbers(rest.next_count()));
+  std::vector<double> const own = numbers_of_sizes(op, list, linear);
   list_draws(op, params, rest.next_list(), own);
   bool const warps = !rest.next_list().empty();
   PlanReader of_pass = rest;
   of_pass.next(kPassOptions);
-  auto const [columns, drawn_matrix] =
-      draw_list_columns(op, images.like, params, own, size_t(width), warps ? of_pass.next_chain() : ChainPlan{});
+  auto const [columns, drawn_matrix] = draw_list_columns(op, images.like, params, own, size_t(linear.size(1)),
+                                                         warps ? of_pass.next_chain() : ChainPlan{});
   auto const pass_plan = rest.plan();
   auto const pass_numbers = rest.numbers();
   auto [results, matrix, means] =
@@ -131,6 +153,9 @@ Tensors draw_warp_and_color_to_list(Tensors const& list, Tensor const& keys, std
 
 }  // namespace
 
+KV_OPERATOR(
+    draw_sized_parameters,
+    "(Tensor[] images, Tensor keys, Tensor? seeds, Tensor linear, Tensor plan, Tensor numbers) -> (Tensor, Tensor)")
 KV_OPERATOR(draw_warp_and_color_to_list,
             "(Tensor[] images, Tensor keys, Tensor? seeds, Tensor linear, Tensor plan, Tensor numbers) -> Tensor[]")
 KV_OPERATOR(draw_list_warp_and_color,

@@ -111,18 +111,25 @@ int launch_erase(Params const& p, CUstream_st* stream) {
                                                                 : launch_tiles<1>(p, stream);
 }
 
-template <class T>
-__global__ void __launch_bounds__(kEraseThreads) erase_list(__grid_constant__ EraseRectanglesList<T> const p) {
+template <class All>
+__global__ void __launch_bounds__(kEraseThreads) erase_list(__grid_constant__ EraseList<All> const p) {
   __shared__ TileBits erased;
   int const b = p.list.sample_of(int(blockIdx.x)), tile = int(blockIdx.x) - p.list.first[b];
-  EraseRectangles<T> const one = p.sample(b);
+  All const one = p.sample(b);
   int const across = int(ceil_div(one.x.width, kEraseColumns));
   int64_t const left = int64_t(tile % across) * kEraseColumns, top = int64_t(tile / across) * kEraseRows;
-  constexpr int P = 16 / sizeof(T);
+  constexpr int P = 16 / sizeof(typename All::Stored);
   if (has_whole_vectors<P>(one.x) && has_whole_vectors<P>(one.y))
     erase_tile<P>(one, 0, left, top, erased);
   else
     erase_tile<1>(one, 0, left, top, erased);
+}
+
+template <class All>
+int launch_list(EraseList<All> const& p, CUstream_st* stream) {
+  static_assert(sizeof(EraseList<All>) <= 32764, "more than a kernel's parameters");
+  erase_list<All><<<unsigned(p.list.items), kEraseThreads, 0, stream>>>(p);
+  return cudaGetLastError();
 }
 
 }  // namespace
@@ -138,9 +145,7 @@ int erase_grid(EraseGrid<T> const& p, CUstream_st* stream) {
 
 template <class T>
 int erase_rectangles_list(EraseRectanglesList<T> const& p, CUstream_st* stream) {
-  static_assert(sizeof(EraseRectanglesList<T>) <= 32764, "more than a kernel's parameters");
-  erase_list<T><<<unsigned(p.list.items), kEraseThreads, 0, stream>>>(p);
-  return cudaGetLastError();
+  return launch_list<EraseRectangles<T>>(p, stream);
 }
 
 KV_INSTANTIATE_WITH_BYTES(erase_rectangles, EraseRectangles)

@@ -48,15 +48,16 @@ KV_KERNEL(erase_rectangles, EraseRectangles)
 KV_KERNEL(erase_grid, EraseGrid)
 
 // The same of images of different sizes: `all` is what the samples of the table have in common.
-template <class T>
-struct EraseRectanglesList {
-  EraseRectangles<T> all;
+template <class All>
+struct EraseList {
+  using T = typename All::Stored;
+  All all;
   ListedSamples list;
   int channels;
 
   // A sample as a batch of one.
-  KV_HD EraseRectangles<T> sample(int b) const {
-    EraseRectangles<T> one = all;
+  KV_HD All sample(int b) const {
+    All one = all;
     one.skip(b);
     one.samples = 1;
     one.x = planes_of(images_of<T>(list.images[b], channels), list.interleaved);
@@ -64,6 +65,9 @@ struct EraseRectanglesList {
     return one;
   }
 };
+
+template <class T>
+struct EraseRectanglesList : EraseList<EraseRectangles<T>> {};
 
 // On the CPU an item is some rows of all planes, on CUDA a tile.
 KV_KERNEL(erase_rectangles_list, EraseRectanglesList)

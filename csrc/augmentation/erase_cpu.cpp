@@ -24,6 +24,15 @@ KV_HD void erase_rows(Params const& p, int64_t begin, int64_t end, EraseRow eras
   }
 }
 
+// Calls erase(image, first row, end) for the items of a list.
+template <class All, class EraseRows>
+KV_HD void for_each_image(EraseList<All> const& p, int64_t begin, int64_t end, EraseRows erase) {
+  geometry::KV_ISA::for_each_sample(p.list, begin, end, [&](int b, int64_t first, int64_t last) {
+    All const one = p.sample(b);
+    erase(one, kEraseRows * first, min(kEraseRows * last, one.x.rows()));
+  });
+}
+
 }  // namespace
 
 template <class T>
@@ -52,10 +61,7 @@ void erase_grid(EraseGrid<T> const& p, int64_t begin, int64_t end) {
 
 template <class T>
 void erase_rectangles_list(EraseRectanglesList<T> const& p, int64_t begin, int64_t end) {
-  geometry::KV_ISA::for_each_sample(p.list, begin, end, [&](int b, int64_t first, int64_t last) {
-    EraseRectangles<T> const one = p.sample(b);
-    KV_ISA::erase_rectangles(one, kEraseRows * first, min(kEraseRows * last, one.x.rows()));
-  });
+  for_each_image(p, begin, end, [](auto const&... rows) { KV_ISA::erase_rectangles(rows...); });
 }
 
 KV_INSTANTIATE_WITH_BYTES(erase_rectangles, EraseRectangles)

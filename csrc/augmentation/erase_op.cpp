@@ -24,6 +24,8 @@ struct EraseArguments {
         op, ": expected values of shape (B, C) or (B, 1), of the type that is computed in, on the device of images");
   }
   void check_boxes() const { check(parts.dim() == 3 && parts.size(2) == 4, "boxes of shape (B, N, 4)"); }
+  void check_grids() const { check(parts.dim() == 2 && parts.size(1) == kGridNumbers, "grids of shape (B, 5)"); }
+  void check_side(int64_t side) const { KV_CHECK(side <= INT32_MAX / 4, op, ": expected smaller images"); }
 
   // All but the images and the parts.
   template <class T>
@@ -39,6 +41,10 @@ struct EraseArguments {
   template <class T>
   EraseRectangles<T> rectangles(Layout layout, Tensor const& boxes) const {
     return {params<T>(layout), data_ptr<float const>(boxes), boxes.size(1), boxes.size(0) > 1 ? boxes.stride(0) : 0};
+  }
+  template <class T>
+  EraseGrid<T> grids(Layout layout, Tensor const& own) const {
+    return {params<T>(layout), data_ptr<float const>(own), own.size(0) > 1 ? own.stride(0) : 0};
   }
 };
 
@@ -74,25 +80,23 @@ Tensor erase_rectangles(Tensor const& images, Tensor const& boxes, Tensor const&
 // Grids (B, 5): the width of lines, the angle, offsets along x and y, the number of cells.
 Tensor erase_grid(Tensor const& images, Tensor const& grids, Tensor const& values) {
   EraseArguments const a{"erase_grid", images, grids, values};
-  a.check(grids.dim() == 2 && grids.size(1) == kGridNumbers, "grids of shape (B, 5)");
+  a.check_grids();
+  a.check_side(images.size(2)), a.check_side(images.size(3));
   Tensor const own = dense(grids);
   return erase(a, [&]<class T>(Type<T>, Layout layout, Tensor const& x, Tensor const& y) {
-    EraseGrid<T> params{a.params<T>(layout), data_ptr<float const>(own), own.size(0) > 1 ? own.stride(0) : 0};
+    EraseGrid<T> params = a.grids<T>(layout, own);
     set_images(params, x, y, layout);
-    KV_CHECK(params.x.width <= INT32_MAX / 4 && params.x.height <= INT32_MAX / 4, a.op, ": expected smaller images");
     KV_RUN(erase_grid, x, params, x.numel() ? params.x.rows() : 0, 8 * params.x.row_size());
   });
 }
 
-// Images (C, H, W) of different sizes, to results of these.
-Tensors erase_rectangles_list(Tensors const& images, Tensor const& boxes, Tensor const& values) {
-  geometry::KeptSizes const kept("erase_rectangles_list", images);
-  Tensor const& like = kept.largest;
-  EraseArguments const a{kept.op, like, boxes, values};
-  a.check_boxes();
-  Tensor const own = readable_boxes(boxes);
+// Images (C, H, W) of different sizes, to results of these. params_of(type, layout) is what all samples have in common,
+// but for the images; run(list, cost) calls the kernel for those of a table.
+template <template <class> class List, class ParamsOf, class Run>
+Tensors erase_list(geometry::KeptSizes const& kept, EraseArguments const& a, Tensors const& images, ParamsOf params_of,
+                   Run run) {
   Tensors const rows = geometry::in_layout(images, kept.layout);
-  int64_t const channels = like.size(1), planes = kept.interleaved() ? 1 : channels;
+  int64_t const channels = a.images.size(1), planes = kept.interleaved() ? 1 : channels;
   auto const items_of = [&](geometry::Size size) {
 #if defined(KV_CUDA)
     return ceil_div(size.height, kEraseRows) * ceil_div(size.width, kEraseColumns);
@@ -100,18 +104,29 @@ Tensors erase_rectangles_list(Tensors const& images, Tensor const& boxes, Tensor
     return ceil_div(planes * size.height, kEraseRows);
 #endif
   };
-  dispatch_floating_and_uint8(a.op, like, [&]<class T>(Type<T>) {
-    EraseRectanglesList<T> p;
-    EraseRectangles<T> const all = a.rectangles<T>(kept.layout, own);
+  dispatch_floating_and_uint8(a.op, a.images, [&]<class T>(Type<T> type) {
+    List<T> p;
+    auto const all = params_of(type, kept.layout);
     p.channels = int(channels);
     kept.for_each_table(p.list, rows, items_of, [&](size_t first) {
       p.all = all;
       p.all.skip(int64_t(first));
-      [[maybe_unused]] int64_t const cost = kEraseRows * like.size(3) * channels / planes;
-      KV_RUN(erase_rectangles_list, like, p, p.list.items, cost);
+      run(p, kEraseRows * a.images.size(3) * channels / planes);
     });
   });
   return kept.results;
+}
+
+Tensors erase_rectangles_list(Tensors const& images, Tensor const& boxes, Tensor const& values) {
+  geometry::KeptSizes const kept("erase_rectangles_list", images);
+  EraseArguments const a{kept.op, kept.largest, boxes, values};
+  a.check_boxes();
+  Tensor const own = readable_boxes(boxes);
+  return erase_list<EraseRectanglesList>(
+      kept, a, images, [&]<class T>(Type<T>, Layout layout) { return a.rectangles<T>(layout, own); },
+      [&](auto const& p, [[maybe_unused]] int64_t cost) {
+        KV_RUN(erase_rectangles_list, a.images, p, p.list.items, cost);
+      });
 }
 
 }  // namespace

@@ -214,6 +214,10 @@ template <class T>
 int salt_and_pepper_list(PixelNoiseList<T> const& p, CUstream_st* stream) {
   return run_list<HitPixels>(p, stream);
 }
+template <class T>
+int shot_noise_list(PixelNoiseList<T> const& p, CUstream_st* stream) {
+  return run_list<EachChannel<CountPhotons>>(p, stream);
+}
 
 KV_INSTANTIATE_WITH_BYTES(gaussian_noise, PixelNoise)
 KV_INSTANTIATE_WITH_BYTES(shot_noise, PixelNoise)
@@ -222,5 +226,6 @@ KV_INSTANTIATE_WITH_BYTES(salt_and_pepper, PixelNoise)
 KV_INSTANTIATE_WITH_BYTES(gaussian_noise_list, PixelNoiseList)
 KV_INSTANTIATE_WITH_BYTES(uniform_noise_list, PixelNoiseList)
 KV_INSTANTIATE_WITH_BYTES(salt_and_pepper_list, PixelNoiseList)
+KV_INSTANTIATE_WITH_BYTES(shot_noise_list, PixelNoiseList)
 
 }  // namespace kv::augmentation::cuda

@@ -104,6 +104,7 @@ struct PixelNoiseList {
 KV_KERNEL(gaussian_noise_list, PixelNoiseList)
 KV_KERNEL(uniform_noise_list, PixelNoiseList)
 KV_KERNEL(salt_and_pepper_list, PixelNoiseList)
+KV_KERNEL(shot_noise_list, PixelNoiseList)
 
 constexpr int kNoiseThreads = 256;
 

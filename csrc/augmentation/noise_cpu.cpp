@@ -227,6 +227,11 @@ void salt_and_pepper_list(PixelNoiseList<T> const& p, int64_t begin, int64_t end
     KV_ISA::salt_and_pepper(p.sample(b), first, last);
   });
 }
+template <class T>
+void shot_noise_list(PixelNoiseList<T> const& p, int64_t begin, int64_t end) {
+  geometry::KV_ISA::for_each_sample(
+      p.list, begin, end, [&](int b, int64_t first, int64_t last) { KV_ISA::shot_noise(p.sample(b), first, last); });
+}
 
 KV_INSTANTIATE_WITH_BYTES(gaussian_noise, PixelNoise)
 KV_INSTANTIATE_WITH_BYTES(shot_noise, PixelNoise)
@@ -235,5 +240,6 @@ KV_INSTANTIATE_WITH_BYTES(salt_and_pepper, PixelNoise)
 KV_INSTANTIATE_WITH_BYTES(gaussian_noise_list, PixelNoiseList)
 KV_INSTANTIATE_WITH_BYTES(uniform_noise_list, PixelNoiseList)
 KV_INSTANTIATE_WITH_BYTES(salt_and_pepper_list, PixelNoiseList)
+KV_INSTANTIATE_WITH_BYTES(shot_noise_list, PixelNoiseList)
 
 }  // namespace kv::augmentation::KV_ISA

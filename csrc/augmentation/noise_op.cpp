@@ -173,6 +173,16 @@ Tensors salt_and_pepper_list(Tensors const& images, Tensor const& parameters, Te
                         });
 }
 
+Tensors shot_noise_list(Tensors const& images, Tensor const& parameters, Tensor const& keys,
+                        OptionalTensor const& seeds, OptionalTensor const& chosen, OptionalTensor const& uniform,
+                        std::vector<int64_t> const& plan) {
+  KV_CHECK(!uniform, "shot_noise_list: expected no uniform numbers");
+  return run_noise_list("shot_noise_list", images, parameters, keys, seeds, chosen, plan, 0, false,
+                        []([[maybe_unused]] Tensor const& like, auto const& p, [[maybe_unused]] int64_t elements) {
+                          KV_RUN(shot_noise_list, like, p, p.list.items, 32 * elements);
+                        });
+}
+
 }  // namespace
 
 #define KV_NOISE "Tensor parameters, Tensor keys, Tensor? seeds, Tensor? chosen, int[] plan) -> Tensor"
@@ -190,6 +200,9 @@ KV_OPERATOR(salt_and_pepper_backward, "(Tensor grad, " KV_NOISE)
 KV_OPERATOR(gaussian_noise_list, KV_NOISE_LIST)
 KV_OPERATOR(uniform_noise_list, KV_NOISE_LIST)
 KV_OPERATOR(salt_and_pepper_list, KV_NOISE_LIST)
+KV_OPERATOR(shot_noise_list,
+            "(Tensor[] images, Tensor parameters, Tensor keys, Tensor? seeds, Tensor? chosen, Tensor? uniform, "
+            "int[] plan) -> Tensor[]")
 #undef KV_NOISE_LIST
 
 }  // namespace kv::augmentation

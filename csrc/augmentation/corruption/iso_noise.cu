@@ -50,10 +50,10 @@ struct FourColors {
   }
 };
 
-template <class T, bool Vectorized>
-__global__ void __launch_bounds__(kIsoThreads) add_lightness(__grid_constant__ IsoNoise<T> const p) {
+// Of chunk i of sample b, by a block.
+template <bool Vectorized, class T>
+__device__ __forceinline__ void add_lightness(IsoNoise<T> const& p, int64_t b, int64_t i) {
   using F = Compute<T>;
-  int64_t const b = blockIdx.y, i = blockIdx.x;
   double sums[2] = {};
   for (int64_t pixel = p.begin(i) + 4 * threadIdx.x; pixel < p.end(i); pixel += kIsoPixels) {
     FourColors<T, Vectorized> const four(p.noise, b, pixel);
@@ -70,11 +70,10 @@ __global__ void __launch_bounds__(kIsoThreads) add_lightness(__grid_constant__ I
   store_block_sums<kIsoThreads>(sums, p.sums + 2 * (b * p.chunks + i));
 }
 
-template <class T, bool Vectorized>
-__global__ void __launch_bounds__(kIsoThreads) add_counts(__grid_constant__ IsoNoise<T> const p) {
+template <bool Vectorized, class T>
+__device__ __forceinline__ void add_counts(IsoNoise<T> const& p, int64_t b, int64_t i) {
   using F = Compute<T>;
   PixelNoise<T> const& noise = p.noise;
-  int64_t const b = blockIdx.y, i = blockIdx.x;
   double const* const sums = sum_rows<kIsoThreads, 2>(p.sums + 2 * b * p.chunks, p.chunks);
   F const* const parameters = noise.parameters + b * noise.parameter_stride;
   IsoSample<F> const sample(parameters[0], parameters[1], sums[0], sums[1], double(noise.pixels));
@@ -114,14 +113,48 @@ __global__ void __launch_bounds__(kIsoThreads) add_counts(__grid_constant__ IsoN
   }
 }
 
+template <class T, bool Vectorized>
+__global__ void __launch_bounds__(kIsoThreads) lightness_of_chunks(__grid_constant__ IsoNoise<T> const p) {
+  add_lightness<Vectorized>(p, blockIdx.y, blockIdx.x);
+}
+template <class T, bool Vectorized>
+__global__ void __launch_bounds__(kIsoThreads) counts_of_chunks(__grid_constant__ IsoNoise<T> const p) {
+  add_counts<Vectorized>(p, blockIdx.y, blockIdx.x);
+}
+
+template <class T>
+KV_HD bool has_whole_vectors(PixelNoise<T> const& n) {
+  constexpr size_t bytes = alignof(Vector<T, 4>);
+  return n.step == 1 && n.pixels % 4 == 0 && reinterpret_cast<uintptr_t>(n.x) % bytes == 0 &&
+         reinterpret_cast<uintptr_t>(n.y) % bytes == 0;
+}
+
 template <class T, class Launch>
 int launch_chunks(IsoNoise<T> const& p, Launch const& launch) {
-  PixelNoise<T> const& n = p.noise;
-  constexpr size_t bytes = alignof(Vector<T, 4>);
-  bool const whole = n.step == 1 && n.pixels % 4 == 0 && reinterpret_cast<uintptr_t>(n.x) % bytes == 0 &&
-                     reinterpret_cast<uintptr_t>(n.y) % bytes == 0;
-  with_alignment<T>(whole, [&](auto vectorized) { launch(vectorized, dim3(unsigned(p.chunks), unsigned(n.batch))); });
+  with_alignment<T>(has_whole_vectors(p.noise),
+                    [&](auto vectorized) { launch(vectorized, dim3(unsigned(p.chunks), unsigned(p.noise.batch))); });
   return cudaGetLastError();
+}
+
+// A block has a chunk of one of the images of a list.
+template <class T, class Run>
+__device__ __forceinline__ void run_listed(IsoNoiseList<T> const& p, Run const& run) {
+  ListedSamples const& list = p.noise.list;
+  int const b = list.sample_of(int(blockIdx.x));
+  IsoNoise<T> const one = p.sample(b);
+  int64_t const i = int(blockIdx.x) - list.first[b];
+  if (sizeof(T) < 8 && has_whole_vectors(one.noise))
+    run(std::bool_constant<(sizeof(T) < 8)>(), one, i);
+  else
+    run(std::false_type(), one, i);
+}
+template <class T>
+__global__ void __launch_bounds__(kIsoThreads) lightness_of_list(__grid_constant__ IsoNoiseList<T> const p) {
+  run_listed(p, [](auto vectorized, IsoNoise<T> const& one, int64_t i) { add_lightness<vectorized.value>(one, 0, i); });
+}
+template <class T>
+__global__ void __launch_bounds__(kIsoThreads) counts_of_list(__grid_constant__ IsoNoiseList<T> const p) {
+  run_listed(p, [](auto vectorized, IsoNoise<T> const& one, int64_t i) { add_counts<vectorized.value>(one, 0, i); });
 }
 
 }  // namespace
@@ -129,17 +162,31 @@ int launch_chunks(IsoNoise<T> const& p, Launch const& launch) {
 template <class T>
 int sum_lightness(IsoNoise<T> const& p, CUstream_st* stream) {
   return launch_chunks(p, [&](auto vectorized, dim3 blocks) {
-    add_lightness<T, vectorized.value><<<blocks, kIsoThreads, 0, stream>>>(p);
+    lightness_of_chunks<T, vectorized.value><<<blocks, kIsoThreads, 0, stream>>>(p);
+  });
+}
+template <class T>
+int iso_noise(IsoNoise<T> const& p, CUstream_st* stream) {
+  return launch_chunks(p, [&](auto vectorized, dim3 blocks) {
+    counts_of_chunks<T, vectorized.value><<<blocks, kIsoThreads, 0, stream>>>(p);
   });
 }
 
 template <class T>
-int iso_noise(IsoNoise<T> const& p, CUstream_st* stream) {
-  return launch_chunks(
-      p, [&](auto vectorized, dim3 blocks) { add_counts<T, vectorized.value><<<blocks, kIsoThreads, 0, stream>>>(p); });
+int sum_lightness_list(IsoNoiseList<T> const& p, CUstream_st* stream) {
+  static_assert(sizeof(IsoNoiseList<T>) <= 32764, "more than a kernel's parameters");
+  lightness_of_list<T><<<unsigned(p.noise.list.items), kIsoThreads, 0, stream>>>(p);
+  return cudaGetLastError();
+}
+template <class T>
+int iso_noise_list(IsoNoiseList<T> const& p, CUstream_st* stream) {
+  counts_of_list<T><<<unsigned(p.noise.list.items), kIsoThreads, 0, stream>>>(p);
+  return cudaGetLastError();
 }
 
 KV_INSTANTIATE_WITH_BYTES(sum_lightness, IsoNoise)
 KV_INSTANTIATE_WITH_BYTES(iso_noise, IsoNoise)
+KV_INSTANTIATE_WITH_BYTES(sum_lightness_list, IsoNoiseList)
+KV_INSTANTIATE_WITH_BYTES(iso_noise_list, IsoNoiseList)
 
 }  // namespace kv::augmentation::cuda

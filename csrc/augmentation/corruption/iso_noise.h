@@ -3,6 +3,7 @@
 #pragma once
 
 #include "augmentation/noise.h"
+#include "core/ceil_div.h"
 
 namespace kv::augmentation {
 
@@ -23,6 +24,26 @@ KV_KERNEL(iso_noise, IsoNoise)
 
 // Pixels of a chunk are a multiple of this, and there are at most so many chunks.
 constexpr int64_t kIsoPixels = 1024, kIsoChunks = 128;
+KV_HD int64_t iso_chunk(int64_t pixels) {
+  return kIsoPixels * max(ceil_div(pixels, kIsoPixels * kIsoChunks), int64_t(1));
+}
+KV_HD int64_t iso_chunks(int64_t pixels) { return ceil_div(pixels, iso_chunk(pixels)); }
+
+// The same of images of different sizes, whose items are chunks.
+template <class T>
+struct IsoNoiseList {
+  PixelNoiseList<T> noise;
+  double* sums;
+
+  // A sample as a batch of one.
+  KV_HD IsoNoise<T> sample(int b) const {
+    PixelNoise<T> const one = noise.sample(b);
+    return {one, sums + 2 * noise.list.first[b], iso_chunk(one.pixels), iso_chunks(one.pixels)};
+  }
+};
+
+KV_KERNEL(sum_lightness_list, IsoNoiseList)
+KV_KERNEL(iso_noise_list, IsoNoiseList)
 
 // Colors within [0, 1]; NaN stays.
 template <class F>

@@ -2,6 +2,7 @@
 #include "core/lanes.h"
 // Included after core/lanes.h, whose vectors it uses.
 #include "augmentation/corruption/iso_noise.h"
+#include "geometry/transform/lists/list_items.h"
 
 namespace kv::augmentation::KV_ISA {
 
@@ -79,7 +80,22 @@ void iso_noise(IsoNoise<T> const& p, int64_t begin, int64_t end) {
   }
 }
 
+template <class T>
+void sum_lightness_list(IsoNoiseList<T> const& p, int64_t begin, int64_t end) {
+  geometry::KV_ISA::for_each_sample(p.noise.list, begin, end, [&](int b, int64_t first, int64_t last) {
+    KV_ISA::sum_lightness(p.sample(b), first, last);
+  });
+}
+template <class T>
+void iso_noise_list(IsoNoiseList<T> const& p, int64_t begin, int64_t end) {
+  geometry::KV_ISA::for_each_sample(p.noise.list, begin, end, [&](int b, int64_t first, int64_t last) {
+    KV_ISA::iso_noise(p.sample(b), first, last);
+  });
+}
+
 KV_INSTANTIATE_WITH_BYTES(sum_lightness, IsoNoise)
 KV_INSTANTIATE_WITH_BYTES(iso_noise, IsoNoise)
+KV_INSTANTIATE_WITH_BYTES(sum_lightness_list, IsoNoiseList)
+KV_INSTANTIATE_WITH_BYTES(iso_noise_list, IsoNoiseList)
 
 }  // namespace kv::augmentation::KV_ISA

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from kvision._ops import Operator, match_layout, register, saturate_to_byte
 from kvision.geometry.transform.lists.arguments import row
-from kvision.geometry.transform.lists.kept_sizes import register_list
+from kvision.geometry.transform.lists.kept_sizes import Operation, register_list
 
 
 def is_erased(images: Tensor, boxes: Tensor) -> Tensor:
@@ -44,6 +44,15 @@ def is_line(images: Tensor, grids: Tensor) -> Tensor:
     return ((along_x.remainder(cell) < line) | (along_y.remainder(cell) < line))[:, None]
 
 
+def erased_where(erasing: Operation, chosen: Tensor | None) -> Operation:
+    """The same, but for samples that are not chosen (B,), which stay as they are; None for all."""
+    if chosen is None:
+        return erasing
+    parts, values = erasing.arguments
+    own = torch.where(chosen[(...,) + (None,) * (parts.dim() - 1)], parts, torch.nan)  # which erases nothing
+    return erasing._replace(arguments=(own, values))
+
+
 def _gradients(
     erase: Operator, needs: Sequence[bool], grad: Tensor, parts: Tensor, values: Tensor
 ) -> list[Tensor | None]:
@@ -75,9 +84,13 @@ erase_rectangles = _register_eraser("erase_rectangles", is_erased)
 erase_grid = _register_eraser("erase_grid", is_line)
 
 
-register_list(
-    "erase_rectangles_list",
-    erase_rectangles,
-    lambda b, boxes, values: (row(boxes, b), row(values, b)),
-    lambda needs, grad, images, boxes, values: _gradients(erase_rectangles, needs, grad, boxes, values),
-)
+def _register_list(erase: Operator) -> None:
+    register_list(
+        f"{erase.name}_list",
+        erase,
+        lambda b, parts, values: (row(parts, b), row(values, b)),
+        lambda needs, grad, images, parts, values: _gradients(erase, needs, grad, parts, values),
+    )
+
+
+_register_list(erase_rectangles)

@@ -10,10 +10,11 @@ from torch import Tensor
 
 from kvision._dtype import compute_dtype
 from kvision.augmentation.engine import Execution, Params
-from kvision.augmentation.erase import erase_rectangles, is_erased
+from kvision.augmentation.erase import erase_rectangles, erased_where, is_erased
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
 from kvision.augmentation.random_generator.erase import RectangleEraseGenerator
 from kvision.augmentation.ranges import Numbers
+from kvision.geometry.transform.lists.arguments import like_batch
 from kvision.geometry.transform.lists.kept_sizes import Operation
 
 __all__ = ["RandomErasing"]
@@ -40,7 +41,7 @@ class RandomErasing(IntensityAugmentationBase2D, keeps_contract=True):
         tensor(12.)
     """
 
-    keeps_unchosen = True
+    keeps_unchosen = replays_lists = True
 
     def __init__(
         self,
@@ -67,6 +68,11 @@ class RandomErasing(IntensityAugmentationBase2D, keeps_contract=True):
     def _operation(self, like: Tensor, params: Params) -> Operation:
         boxes, values = self._boxes_and_values(like, params)
         return Operation(erase_rectangles, (boxes, values if values.dim() == 2 else values[:, None]))
+
+    def _run_list(self, images: Sequence[Tensor], execution: Execution) -> list[Tensor]:
+        like = like_batch(images)
+        operation = self._operation(like, self._params_on_device(like, execution, for_users=False))
+        return erased_where(operation, None if execution.params is None else execution.chosen).on_list(images)
 
     def _boxes_and_values(self, like: Tensor, params: Params) -> tuple[Tensor, Tensor]:
         """The boxes (B, 1, 4), and the values in the units of images."""

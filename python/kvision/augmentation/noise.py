@@ -6,6 +6,7 @@ The words of a pixel are those of the draw's block at `c * ceil(H * W / 4) + (y 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
@@ -24,7 +25,7 @@ from kvision._ops import Operator, match_layout, register, saturate_to_byte
 from kvision.augmentation.draws import MAX_DRAWS, philox, unit
 from kvision.augmentation.keys import Keys, flatten_draws
 from kvision.geometry.transform.lists.arguments import row
-from kvision.geometry.transform.lists.kept_sizes import register_list
+from kvision.geometry.transform.lists.kept_sizes import Operation, register_list
 
 # Arguments of the operators: images (B, C, H, W); parameters (B, 2) of the type that is computed in, for images in [0, 1]
 # (bytes have 255 times their noise); keys (K,) int64 on the CPU or the images' device; seeds (B,) int64, which replace the
@@ -310,6 +311,20 @@ def _of_sample(
     return row(parameters, b), keys, row(seeds, b), row(chosen, b), own
 
 
+def of_sample_without_maps(
+    b: int,
+    parameters: Tensor,
+    keys: Tensor,
+    seeds: Tensor | None,
+    chosen: Tensor | None,
+    maps: None,
+    plan: Sequence[int],
+) -> tuple[Any, ...]:
+    """The same of operators that may be given their numbers: those of lists draw them."""
+    *own, own_plan = _of_sample(b, parameters, keys, seeds, chosen, plan)
+    return *own, None, own_plan
+
+
 def _salt_and_pepper_gradients(needs: Sequence[bool], grad: Tensor, images: Tensor, *args: Any) -> list[Tensor | None]:
     return [_salt_and_pepper_backward(grad, *args)]
 
@@ -317,6 +332,7 @@ def _salt_and_pepper_gradients(needs: Sequence[bool], grad: Tensor, images: Tens
 register_list("gaussian_noise_list", gaussian_noise, _of_sample, partial(_noise_backward, "gaussian_noise"))
 register_list("uniform_noise_list", uniform_noise, _of_sample, partial(_noise_backward, "uniform_noise"))
 register_list("salt_and_pepper_list", salt_and_pepper, _of_sample, _salt_and_pepper_gradients)
+register_list("shot_noise_list", shot_noise, of_sample_without_maps)
 
 
 # --- the source of an augmentation ----------------------------------------------------------------------------------
@@ -348,6 +364,13 @@ class PixelNoise(NamedTuple):
     def uniform(self, shape: Sequence[int], map: int = 0) -> Tensor:
         """Uniform noise (B, C, H, W) in [0, 1], float64."""
         return self._between(0.5, 0.5, shape, torch.float64, map)
+
+    def uniform_list(self, shapes: Sequence[Sequence[int]], map: int = 0) -> list[Tensor]:
+        """The same of the samples of a list, of a shape (C, H, W) each."""
+        counts = [math.prod(shape) for shape in shapes]
+        zero = torch.zeros(sum(counts), dtype=torch.float64, device=self.device)
+        zeros = [part.view(*shape) for part, shape in zip(zero.split(counts), shapes)]
+        return Operation(uniform_noise, (constant(((0.5, 0.5),), zero), *self.arguments(map))).on_list(zeros)
 
     def symmetric(self, shape: Sequence[int], map: int = 0) -> Tensor:
         """Uniform noise (B, C, H, W) in [-1, 1], float32."""

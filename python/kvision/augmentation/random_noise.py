@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import torch
 from torch import Tensor
 
 from kvision._dtype import compute_dtype
@@ -38,7 +39,6 @@ class RandomGaussianNoise(IntensityAugmentationBase2D, keeps_contract=True):
         tensor([[[[0.5000, 0.5000]]]])
     """
 
-    accepts_bytes = False
     fuses_noise = True
 
     def __init__(
@@ -56,6 +56,8 @@ class RandomGaussianNoise(IntensityAugmentationBase2D, keeps_contract=True):
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
+        if "_noise" not in params and input.dtype == torch.uint8:
+            return (input.float() + 255 * params["gaussian_noise"]).round().clamp(0, 255).to(torch.uint8)
         if "_noise" not in params:
             return input + params["gaussian_noise"]
         return self._operation(input, params)(input)
@@ -84,7 +86,6 @@ class RandomSaltAndPepperNoise(IntensityAugmentationBase2D, keeps_contract=True)
         tensor([[[[1., 1.]]]])
     """
 
-    accepts_bytes = False
     fuses_noise = True
 
     def __init__(
@@ -103,7 +104,8 @@ class RandomSaltAndPepperNoise(IntensityAugmentationBase2D, keeps_contract=True)
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
         if "_noise" not in params:
-            return input.masked_fill(params["mask_salt"], 1.0).masked_fill(params["mask_pepper"], 0.0)
+            salt = 255 if input.dtype == torch.uint8 else 1
+            return input.masked_fill(params["mask_salt"], salt).masked_fill(params["mask_pepper"], 0)
         return self._operation(input, params)(input)
 
     def _operation(self, like: Tensor, params: Params) -> Operation:

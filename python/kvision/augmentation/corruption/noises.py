@@ -12,7 +12,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._clamp import clamp
 from kvision._dtype import compute_dtype
-from kvision._ops import match_layout, register
+from kvision._ops import Operator, match_layout, register
 from kvision.augmentation import ranges
 from kvision.augmentation.draws import unit
 from kvision.augmentation.engine import Params
@@ -24,6 +24,7 @@ from kvision.augmentation.noise import (
     PixelNoise,
     is_chosen,
     normals_of_pixels,
+    of_sample_without_maps,
     poisson_quantile,
     shot_noise,
     words_of_pixels,
@@ -33,7 +34,7 @@ from kvision.augmentation.ranges import Numbers
 from kvision.augmentation.samples import per_sample
 from kvision.color.hls import hls_to_rgb, rgb_to_hls
 from kvision.core.exceptions import ShapeError
-from kvision.geometry.transform.lists.kept_sizes import Operation
+from kvision.geometry.transform.lists.kept_sizes import Operation, register_list
 
 _GAMMA = 2.2  # of the encoding that shot noise undoes
 
@@ -57,13 +58,18 @@ def as_stored(y: Tensor, like: Tensor) -> Tensor:
 
 def photons(x: Tensor, parameters: Tensor, noise: PixelNoise | Tensor) -> Tensor:
     """Images counted in photons, by `shot_noise`, from a source of noise or a uniform map."""
-    x, parameters = x.detach(), parameters.to(compute_dtype(x))
-    if isinstance(noise, Tensor):
-        y: Tensor = shot_noise(x, parameters, NO_KEY, None, None, noise.to(x.device, torch.float32), (0, 0, 1, 0))
-        return y
-    keys, seeds, chosen, plan = noise.arguments()
-    y = shot_noise(x, parameters, keys, seeds, chosen, None, plan)
+    x = x.detach()
+    if isinstance(noise, PixelNoise):
+        return drawing(shot_noise, x, parameters, noise)(x)
+    own = parameters.to(compute_dtype(x))
+    y: Tensor = shot_noise(x, own, NO_KEY, None, None, noise.to(x.device, torch.float32), (0, 0, 1, 0))
     return y
+
+
+def drawing(operator: Operator, like: Tensor, parameters: Tensor, noise: PixelNoise) -> Operation:
+    """An operator that draws the numbers of pixels, which it may be given, from a source of noise."""
+    keys, seeds, chosen, plan = noise.arguments()
+    return Operation(operator, (parameters.to(compute_dtype(like)), keys, seeds, chosen, None, plan))
 
 
 class ShotNoise(IntensityAugmentationBase2D, keeps_contract=True):
@@ -113,7 +119,7 @@ class ShotNoise(IntensityAugmentationBase2D, keeps_contract=True):
         if "_noise" in params:
             columns, noise = params["_noise"]
             if not columns.requires_grad:
-                return photons(input, columns, noise)
+                return self._operation(input, params)(input.detach())
             params = {**params, **self._param_generator.pixel_params(columns, tuple(input.shape), noise)}
         if not params["scale"].requires_grad:
             step = params["scale"].to(input.device)
@@ -122,6 +128,9 @@ class ShotNoise(IntensityAugmentationBase2D, keeps_contract=True):
         light = clamp(in_units(input), 0, 1).to(scale.dtype) ** _GAMMA
         counts = poisson_quantile(u, light.detach() / scale)
         return as_stored(clamp(counts * scale, 0, 1) ** (1 / _GAMMA), input)
+
+    def _operation(self, like: Tensor, params: Params) -> Operation:
+        return drawing(shot_noise, like, *params["_noise"])
 
 
 def _iso_reference(
@@ -157,6 +166,7 @@ def _iso_reference(
 
 
 iso_noise = register("iso_noise", _iso_reference, bytes=True, casts_outputs=True, flatten=flatten_draws(keys=2))
+register_list("iso_noise_list", iso_noise, of_sample_without_maps)
 
 
 class ISONoise(IntensityAugmentationBase2D, keeps_contract=True):
@@ -206,16 +216,16 @@ class ISONoise(IntensityAugmentationBase2D, keeps_contract=True):
                 f"ISONoise: expected images with 3 channels, got {tuple(input.shape)}{_check.channels_advice(input.shape)}"
             )
         if "_noise" in params:
-            columns, noise = params["_noise"]
-            keys, seeds, chosen, plan = noise.arguments()
-            y: Tensor = iso_noise(input, columns.to(compute_dtype(input)), keys, seeds, chosen, None, plan)
-            return y
+            return self._operation(input, params)(input)
         numbers = [params[name].to(input.device, compute_dtype(input)) for name in ("color_shift", "intensity")]
         maps = torch.cat(
             [params[name].to(input.device, torch.float32) for name in ("luminance_noise", "color_noise")], 1
         )
-        y = iso_noise(input, torch.stack(numbers, 1), NO_KEY, None, None, maps, (0, 0, 1, 0))
+        y: Tensor = iso_noise(input, torch.stack(numbers, 1), NO_KEY, None, None, maps, (0, 0, 1, 0))
         return y
+
+    def _operation(self, like: Tensor, params: Params) -> Operation:
+        return drawing(iso_noise, like, *params["_noise"])
 
 
 def multiplication(generator: FactorsGenerator, like: Tensor, params: Params) -> Operation:

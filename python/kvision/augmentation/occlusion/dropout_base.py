@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, ClassVar, Literal
 
 import torch
@@ -13,10 +14,12 @@ from kvision._dtype import compute_dtype
 from kvision._ops import Operator
 from kvision.augmentation import ranges
 from kvision.augmentation.engine import Execution, Params
+from kvision.augmentation.erase import erased_where
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
 from kvision.augmentation.ranges import Numbers
 from kvision.core.exceptions import ShapeError
-from kvision.geometry.transform.lists.kept_sizes import Operation
+from kvision.geometry.transform.lists.arguments import like_batch
+from kvision.geometry.transform.lists.kept_sizes import Operation, runs_on_lists
 
 
 class DropoutBase(IntensityAugmentationBase2D, keeps_contract=True):
@@ -68,6 +71,7 @@ class DropoutBase(IntensityAugmentationBase2D, keeps_contract=True):
 class ErasingDropout(DropoutBase, keeps_contract=True):
     """A class whose parts an operator sets to values."""
 
+    replays_lists = True
     eraser: ClassVar[Operator]
 
     def _parts(self, params: Params, shape: tuple[int, ...], device: torch.device) -> Tensor:
@@ -88,5 +92,21 @@ class ErasingDropout(DropoutBase, keeps_contract=True):
         return self._operation(input, params)(input)
 
     def _operation(self, like: Tensor, params: Params) -> Operation:
-        parts, values = self._parts(params, tuple(like.shape), like.device), self._values(like, params)
-        return Operation(self.eraser, (parts, values[:, :, 0, 0]))
+        return self._erasing(self._parts(params, tuple(like.shape), like.device), like, params)
+
+    def _erasing(self, parts: Tensor, like: Tensor, params: Params) -> Operation:
+        """The operator that sets parts of images like a batch to the fill."""
+        return Operation(self.eraser, (parts, self._values(like, params)[:, :, 0, 0]))
+
+    def _operates_on(self, dtype: torch.dtype) -> bool:
+        return runs_on_lists(self.eraser) and not isinstance(self.fill, str) and not self._is_customized()
+
+    def _run_list(self, images: Sequence[Tensor], execution: Execution) -> list[Tensor]:
+        like = like_batch(images)
+        operation = self._operation_on_list(images, like, execution)
+        has_columns = self.keeps_unchosen and execution.params is None
+        return erased_where(operation, None if has_columns else execution.chosen).on_list(images)
+
+    def _operation_on_list(self, images: Sequence[Tensor], like: Tensor, execution: Execution) -> Operation:
+        """The operator for a list, like a batch of which there may be images that are not chosen."""
+        return self._operation(like, self._params_on_device(like, execution, for_users=False))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any, Literal
 
 import torch
@@ -11,13 +12,14 @@ from torch import Tensor
 from kvision import _check
 from kvision._constants import constant
 from kvision.augmentation import ranges
-from kvision.augmentation.engine import Params
+from kvision.augmentation.engine import Execution, Params
 from kvision.augmentation.erase import erase_grid
 from kvision.augmentation.occlusion.dropout_base import ErasingDropout
 from kvision.augmentation.occlusion.holes import HoleDropout
 from kvision.augmentation.random_generator.mapped import MappedGenerator
 from kvision.augmentation.random_generator.occlusion import GridDropoutGenerator, fill_maps, units_along
 from kvision.augmentation.ranges import Numbers
+from kvision.geometry.transform.lists.kept_sizes import Operation
 
 
 class GridDropout(HoleDropout, keeps_contract=True):
@@ -84,6 +86,45 @@ class GridDropout(HoleDropout, keeps_contract=True):
         )
         return torch.stack(torch.broadcast_tensors(x, y, wide, tall), -1).flatten(1, 2)
 
+    def _operation_on_list(self, images: Sequence[Tensor], like: Tensor, execution: Execution) -> Operation:
+        shapes = [(1, *x.shape) for x in images]
+        counts, at = [self._param_generator.counts(shape) for shape in shapes], None
+        if (unit_range := self._param_generator.unit_size_range) is not None and execution.columns is not None:
+            drawn = self._named(execution.columns.values, execution)["unit_size"]
+            at = drawn.to(like.device).long() - unit_range[0]
+        offsets: Sequence[Tensor | None] = (None, None)
+        if self._param_generator.random_offset:
+            noise = self._pixel_noise(execution, execution.redraw, like.device)
+            offsets = self._param_generator.offsets_of_list(noise, counts).unbind(1)
+        (y, tall), (x, wide) = (
+            self._along_list(
+                [shape[axis] for shape in shapes], [own[axis] for own in counts], u, shift, -3 - axis, at, like
+            )
+            for axis, u, shift in zip((-2, -1), offsets, reversed(self.shift_xy))
+        )
+        boxes = torch.stack(torch.broadcast_tensors(x, y, wide, tall), -1).flatten(1, 2)
+        return self._erasing(boxes, like, {})
+
+    def _along_list(
+        self,
+        sizes: Sequence[int],
+        counts: Sequence[tuple[int, ...]],
+        u: Tensor | None,
+        shift: int,
+        axis: int,
+        at: Tensor | None,
+        like: Tensor,
+    ) -> tuple[Tensor, Tensor]:
+        """As `_along`, of images with sizes and numbers of units of their own, those with fewer without holes at the end."""
+        most, tables = max(map(max, counts)), []
+        for size, own_counts in zip(sizes, counts):
+            none = (0,) * (most - max(own_counts))
+            tables.append([[[*row, *none] for row in units] for units in units_along(size, own_counts, self.ratio)])
+        own = torch.tensor(tables, dtype=torch.float32, device="cpu").to(like.device, non_blocking=True)
+        own = own[:, 0] if at is None else own[torch.arange(len(own), device=own.device), at]
+        ends = torch.tensor(sizes, dtype=torch.float32, device="cpu").to(like.device, non_blocking=True)
+        return _placed(own, ends[:, None, None], u, shift, axis)
+
     def _along(
         self,
         size: int,
@@ -103,10 +144,15 @@ class GridDropout(HoleDropout, keeps_contract=True):
             axis: the axis of the table along which there is nothing to tell.
         """
         table = constant(units_along(size, counts, self.ratio), torch.empty(0, device=device), torch.float32)
-        first, hole, free = (table if at is None else table[at]).unsqueeze(axis).unbind(1)
-        if u is None:
-            return (first + shift).minimum(size - hole), hole
-        return first + (u * (free + 1)).floor().minimum(free), hole
+        return _placed(table if at is None else table[at], size, u, shift, axis)
+
+
+def _placed(units: Tensor, size: int | Tensor, u: Tensor | None, shift: int, axis: int) -> tuple[Tensor, Tensor]:
+    """Where holes begin along an axis of images of a size, and how long they are, for the numbers (B, 3, units) of units."""
+    first, hole, free = units.unsqueeze(axis).unbind(1)
+    if u is None:
+        return (first + shift).minimum(size - hole), hole
+    return first + (u * (free + 1)).floor().minimum(free), hole
 
 
 class GridMask(ErasingDropout, keeps_contract=True):

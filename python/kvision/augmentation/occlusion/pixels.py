@@ -15,6 +15,7 @@ from kvision.augmentation.noise import BY_CHANNEL, RANDOM, salt_and_pepper
 from kvision.augmentation.occlusion.dropout_base import DropoutBase
 from kvision.augmentation.random_generator.occlusion import PixelDropoutGenerator, is_hit
 from kvision.augmentation.ranges import Numbers
+from kvision.geometry.transform.lists.kept_sizes import Operation
 
 
 class PixelDropout(DropoutBase, keeps_contract=True):
@@ -67,9 +68,19 @@ class PixelDropout(DropoutBase, keeps_contract=True):
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
-        if "_noise" not in params or self.fill not in (0.0, "random"):
+        if "_noise" not in params or not self._fills_by_operator:
             return super().apply_transform(input, params, flags, transform)
+        return self._operation(input, params)(input)
+
+    @property
+    def _fills_by_operator(self) -> bool:
+        """Whether the operator that hits pixels has the fill."""
+        return self.fill in (0.0, "random")
+
+    def _operation(self, like: Tensor, params: Params) -> Operation:
         columns, noise = params["_noise"]
         form = self._form if self.fill == 0.0 else self._form | RANDOM
-        y: Tensor = salt_and_pepper(input, columns.to(compute_dtype(input)), *noise.arguments(form=form))
-        return y
+        return Operation(salt_and_pepper, (columns.to(compute_dtype(like)), *noise.arguments(form=form)))
+
+    def _operates_on(self, dtype: torch.dtype) -> bool:
+        return self._fills_by_operator and super()._operates_on(dtype)

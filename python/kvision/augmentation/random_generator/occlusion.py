@@ -169,3 +169,17 @@ class GridDropoutGenerator(MappedGenerator):
             down, across = (max(counts) for counts in self.counts(shape))
             params["offsets"] = NoiseMap(size=(2, down, across)).draw(noise, shape, len(self.maps))
         return params
+
+    def offsets_of_list(self, noise: PixelNoise, counts: Sequence[Sequence[tuple[int, ...]]]) -> Tensor:
+        """The offsets (B, 2, R, C) of images with the `counts` of each, for as many units as the most have."""
+        units = [[max(along) for along in own] for own in counts]
+        drawn = noise.uniform_list([(2, *own) for own in units], len(self.maps))
+        down, across = (max(along) for along in zip(*units))
+        sizes = torch.tensor(units, device="cpu")
+        rows, columns = sizes[:, :1, None], sizes[:, 1:, None]
+        place = torch.arange(down, device="cpu")[:, None] * columns + torch.arange(across, device="cpu")
+        ends = 2 * (rows * columns).cumsum(0)
+        first = ends - 2 * rows * columns
+        at = torch.stack([first + place, first + rows * columns + place], 1).minimum(ends[:, None] - 1)
+        values = torch.cat([own.flatten() for own in drawn]).float()
+        return values[at.to(values.device, non_blocking=True)]

@@ -16,6 +16,11 @@ Arguments = tuple[Any, ...]
 _OF_LISTS: dict[Operator, ListOperator] = {}
 
 
+def runs_on_lists(operator: Operator) -> bool:
+    """Whether an operator on batches has a kernel for lists."""
+    return operator in _OF_LISTS
+
+
 class Operation(NamedTuple):
     """An operator that has a kernel for lists, and its arguments behind the images."""
 
@@ -28,11 +33,16 @@ class Operation(NamedTuple):
 
     def on_list(self, images: Sequence[Tensor]) -> list[Tensor]:
         """The results of images (C, H, W) of different sizes."""
+        if self.operator.non_differentiable:
+            images = [x.detach() for x in images]
         return list(_OF_LISTS[self.operator](images, *self.arguments))
 
 
 def register_list(
-    name: str, of: Operator, of_sample: Callable[..., Arguments], backward: Callable[..., Sequence[Tensor | None]]
+    name: str,
+    of: Operator,
+    of_sample: Callable[..., Arguments],
+    backward: Callable[..., Sequence[Tensor | None]] | None = None,
 ) -> ListOperator:
     """The operator on lists of images (C, H, W) that an operator on images (B, C, H, W) has a kernel for.
 
@@ -40,15 +50,22 @@ def register_list(
         name: name of the operator, `torch.ops.kvision.<name>`.
         of: the operator on batches.
         of_sample: the arguments behind the images of sample b, for its number and those of all.
-        backward: the gradients of the first tensors of a batch, for which of them are wanted, the gradient and the arguments.
+        backward: the gradients of the first tensors of a batch, for which of them are wanted, the gradient and the arguments;
+            default: those of the reference.
     """
+
+    def of_reference(needs: Sequence[bool], grad: Tensor, *args: Any) -> Sequence[Tensor | None]:
+        wanted = [*needs, *(False,) * (len(args) - len(needs))]
+        return of.differentiate_reference(wanted, grad, *args)
+
+    of_batch = backward or of_reference
 
     def reference(images: Sequence[Tensor], *args: Any) -> list[Tensor]:
         return [of.reference(x[None], *of_sample(b, *args))[0] for b, x in enumerate(images)]
 
     def gradients(needs: Sequence[bool], grads: Any, images: Sequence[Tensor], *args: Any) -> list[Any]:
         each = [
-            backward(needs, torch.zeros_like(x)[None] if g is None else g[None], x[None], *of_sample(b, *args))
+            of_batch(needs, torch.zeros_like(x)[None] if g is None else g[None], x[None], *of_sample(b, *args))
             for b, (g, x) in enumerate(zip(grads, images))
         ]
         of_images, *others = zip(*each)

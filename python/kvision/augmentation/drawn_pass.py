@@ -24,6 +24,7 @@ COMPUTED_IN_FLOAT32 = (torch.float32, torch.float16, torch.bfloat16, torch.uint8
 
 _draw_warp_and_color = FastPath("draw_warp_and_color", COMPUTED_IN_FLOAT32)
 _draw_list_warp_and_color = FastPath("draw_list_warp_and_color", COMPUTED_IN_FLOAT32)
+_draw_sized_parameters = FastPath("draw_sized_parameters", COMPUTED_IN_FLOAT32)
 _draw_warp_and_color_to_list = FastPath("draw_warp_and_color_to_list", COMPUTED_IN_FLOAT32)
 
 
@@ -133,12 +134,33 @@ class _WithGradients(torch.autograd.Function):
 _call_with_gradients = function_caller(_WithGradients)
 
 
-class DrawnListPass:
-    """Draws and a pass over images (C, H, W) of different sizes, which these keep, that reads the drawn columns.
+class SizedDraws:
+    """Draws for images (C, H, W) of different sizes, and these sizes: to ask each image takes Python longer than all else.
 
     `listed` are draws by their positions, whose numbers are `linear` (3, N) functions of the size of an image: a constant, and the
     factors of height and width, float64 on the CPU.
     """
+
+    def __init__(self, draws: DrawPlan, listed: Sequence[int], linear: Tensor) -> None:
+        self.draws, self.linear = draws, linear
+        plan = [len(draws.plan), *draws.plan, len(draws.numbers), len(listed), *listed]
+        self._plan = packed(plan, draws.numbers)
+
+    def run(self, images: list[Tensor], keys: Keys) -> tuple[Tensor, Tensor] | None:
+        """The columns, and the sizes (B, 2) on the CPU; None where no kernel draws them."""
+        if not _draw_sized_parameters.serves(images[0]):
+            return None
+        own = self.draws.keys_of(keys), keys.seeds_on(images[0].device)
+        try:
+            columns, sizes = _draw_sized_parameters.kernel(images, *own, self.linear, *self._plan)
+        except RuntimeError:
+            check_list("lists", "images", images)  # which says more
+            raise
+        return columns, sizes
+
+
+class DrawnListPass:
+    """Draws as those of SizedDraws, and a pass over the images, which keep their sizes, that reads the drawn columns."""
 
     def __init__(
         self,

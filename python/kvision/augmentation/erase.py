@@ -84,13 +84,9 @@ erase_rectangles = _register_eraser("erase_rectangles", is_erased)
 erase_grid = _register_eraser("erase_grid", is_line)
 
 
-def _register_list(erase: Operator) -> None:
-    register_list(
-        f"{erase.name}_list",
-        erase,
-        lambda b, parts, values: (row(parts, b), row(values, b)),
-        lambda needs, grad, images, parts, values: _gradients(erase, needs, grad, parts, values),
-    )
-
-
-_register_list(erase_rectangles)
+register_list(
+    "erase_rectangles_list",
+    erase_rectangles,
+    lambda b, boxes, values: (row(boxes, b), row(values, b)),
+    lambda needs, grad, images, boxes, values: _gradients(erase_rectangles, needs, grad, boxes, values),
+)

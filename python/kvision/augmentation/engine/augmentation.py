@@ -18,6 +18,7 @@ from kvision.augmentation.engine.call_labels import CallLabels
 from kvision.augmentation.engine.execution import Execution, ListExecution, Params, Shape, replaying
 from kvision.augmentation.engine.executor import Executor
 from kvision.augmentation.engine.list_calls import Parts, call_in_parts, shapes_of_images
+from kvision.augmentation.engine.list_replays import ReplayedParts, replay_list
 from kvision.augmentation.engine.list_runs import run_list
 from kvision.augmentation.engine.lists import execute_list, list_plan
 from kvision.augmentation.engine.record import Child
@@ -147,16 +148,34 @@ class AugmentationBase(Executor, keeps_contract=True):
             if is_planned and list_plan(self) is not None:
                 y, *_ = execute_list(images, child, context)
             else:
+                replay = self._replay_list(images, params, flags) if labels is None else None
                 if is_planned and params is None and labels is None:
                     run = run_list(images, [child], context)
                 if run is not None:
                     y, child.record = run[0], ListExecution(run[1].of_child(0))
+                elif replay is not None:
+                    y, child.record = replay[0], ListExecution(replay[1])
                 else:
                     call = functools.partial(self._call_part, flags)
                     (y, *_), parts = call_in_parts([self], keys, inputs, params, seed, generator, call)
                     child.record = ListExecution(parts)
         self._execution = child.record
         return y if plain is given else wrap(y, given), child.record
+
+    def _replay_list(
+        self, images: list[Tensor], params: Params | None, flags: dict[str, Any]
+    ) -> tuple[Any, ReplayedParts] | None:
+        """The results of a list with given parameters, by the launches of a batch, and its parts; None of others."""
+        if params is None or flags is not self.flags:
+            return None
+        op = type(self).__name__
+        context = CallContext.of_module(op, None, None)._replace(plans=self._plans)
+        y = replay_list(images, [Child(op, self, params)], context)
+        if y is None:
+            return None
+        shapes, outputs = [tuple(x.shape) for x in images], [images[0].new_empty(1)] * len(images)
+        parts = functools.partial(Parts.of_params, op, params, shapes, outputs, self._execution_of_part)
+        return y, ReplayedParts(op, images, parts)
 
     def _call_part(
         self, flags: dict[str, Any], inputs: Sequence[Any], params: Any, seed: Seed, generator: Generator | None

@@ -6,14 +6,14 @@ from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import torch
-from torch import Generator, nn
+from torch import Generator, Tensor, nn
 
 from kvision import _check
 from kvision.augmentation.columns import DrawPlan, plan_draws
 from kvision.augmentation.draws import Draw, Request, uniform
 from kvision.augmentation.engine.call_context import CallContext
 from kvision.augmentation.engine.image_sequential import ImageSequential
-from kvision.augmentation.engine.list_calls import Sizes, sizes_after
+from kvision.augmentation.engine.list_calls import SIZES, Sizes, sizes_after
 from kvision.augmentation.engine.record import ParamItem
 from kvision.augmentation.engine.turns import Turn
 from kvision.augmentation.keys import check_seeds, draw_keys, refuse_capture, refuse_graphs, refuse_mapped
@@ -111,7 +111,8 @@ class ChoiceBase(ImageSequential):
             context = context._replace(seed=context.seed_of_samples, time=0)
         in_turns = super()._in_turns(x, None, context)
         assert in_turns is not None
-        turns = self._joined(in_turns[0], tuple(x.shape), context.position)
+        shape = tuple(x.shape) if isinstance(x, Tensor) else (len(x), x[0].shape[0], *SIZES[0])
+        turns = self._joined(in_turns[0], shape, context.position)
         return turns, context._replace(is_certain=self.children_are_certain)
 
     def _joined(self, turns: list[Turn], shape: tuple[int, ...], position: int) -> list[Turn]:

@@ -71,6 +71,9 @@ class Declaration(KeepsArguments):
     mixes_samples: ClassVar[bool] = False  # of the batch
     moves_by_map: ClassVar[bool] = False  # as MapAugmentation does
     keeps_positions: ClassVar[bool] = False  # of all pixels, so that labels stay as they are
+    replays_lists: ClassVar[bool] = (
+        False  # an operator runs lists with given parameters, of samples of which some are chosen
+    )
     keeps_unchosen: ClassVar[bool] = False  # the drawn columns of samples that are not chosen leave them as they are
     fuses_noise: bool = False  # `apply_transform` takes "_noise" instead of the parameters of pixels
 

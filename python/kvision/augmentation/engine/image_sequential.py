@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import functools
+import functools
 from collections.abc import Iterator, Sequence
 from typing import Any, get_args
 
@@ -22,7 +23,17 @@ from kvision.augmentation.engine.choices import Choices
 from kvision.augmentation.engine.configuration import Plans, kept, portable, settings_changed
 from kvision.augmentation.engine.declaration import KeepsArguments
 from kvision.augmentation.engine.execution import check_batch_of_params, matrix_type
-from kvision.augmentation.engine.list_calls import SIZES, Parts, Sizes, call_in_parts, shapes_of_images, sizes_after
+from kvision.augmentation.engine.list_calls import (
+    SIZES,
+    Parts,
+    Sizes,
+    call_in_parts,
+    gives_one_size,
+    shapes_of_images,
+    sizes_after,
+)
+from kvision.augmentation.engine.list_chains import replay_chain, run_chain
+from kvision.augmentation.engine.list_replays import ReplayedParts, replay_list
 from kvision.augmentation.engine.list_runs import run_list
 from kvision.augmentation.engine.lists import list_plan
 from kvision.augmentation.engine.record import Child, ParamItem, Record, child_of, item_of
@@ -315,6 +326,12 @@ class ImageSequential(ImageSequentialBase):
         )
 
     @property
+    def _runs_lists(self) -> bool:
+        """Whether the children run one after the other, or are chosen, so that they can be run on a list."""
+        own = type(self)
+        return own._execute is ImageSequential._execute and own._execute_nested is ImageSequential._execute_nested
+
+    @property
     def _reads_frames(self) -> bool:
         """Whether frames of video are handed to the children."""
         return type(self)._execute is ImageSequential._execute
@@ -363,15 +380,56 @@ class ImageSequential(ImageSequentialBase):
         """The results of a call on a list of images, in the launches of a batch or image by image, and its record."""
         if params is not None:
             params = list(checked_items(type(self).__name__, params, self._item_field))
-        elif self._runs_all() and list(keys).count(DataKey.INPUT) == 1:  # further images replay the parameters
-            context = self._context(seed, generator)._replace(has_labels=len(keys) > 1)
-            results = run_list(inputs[keys.index(DataKey.INPUT)], self._own_children(), context)
-            if results is not None:
-                y, of_run = results
-                return self._with_labels_of_list(keys, inputs, y, of_run), Record(parts=of_run)
+        of_passes = self._call_list_by_passes(keys, inputs, params, seed, generator)
+        if of_passes is not None:
+            return of_passes
         call = functools.partial(self._call_part, keys)
         outputs, parts = call_in_parts(list(self.modules()), keys, inputs, params, seed, generator, call)
         return outputs, Record(parts=parts)
+
+    def _call_list_by_passes(
+        self, keys: Sequence[DataKey], inputs: Sequence[Any], params: Any, seed: Seed, generator: Generator | None
+    ) -> tuple[list[Any], Record] | None:
+        """The same of a call whose children are passes over all images; None of others."""
+        if not self._runs_lists or not len(self):
+            return None
+        if params is not None:
+            return self._replay_list_by_passes(inputs, params) if len(keys) == 1 else None
+        if list(keys).count(DataKey.INPUT) != 1:  # others replay the parameters
+            return None
+        context = self._context(seed, generator)._replace(has_labels=len(keys) > 1)
+        images = inputs[keys.index(DataKey.INPUT)]
+        results: tuple[Any, Parts] | None = None
+        if not self._draws_choices:
+            results = run_list(images, self._own_children(), context)
+        if results is None:
+            results = run_chain(self, images, context, generator)
+        if results is None:
+            return None
+        y, parts = results
+        if isinstance(y, list) and gives_one_size(self):
+            y = torch.stack(y)
+        return self._with_labels_of_list(keys, inputs, y, parts), Record(parts=parts)
+
+    def _replay_list_by_passes(self, inputs: Sequence[Any], params: list[Any]) -> tuple[list[Any], Record] | None:
+        """The same with given parameters."""
+        context, (images,) = self._context(None, None), inputs
+        children = self._children_of_call(params, context)
+        for child in children:
+            if child.samples is not None:
+                check_batch_of_params(context.op, child.batch, len(images))
+        y = replay_list(images, children, context)
+        if y is None:
+            y = replay_chain(self, images, params, context)
+        if y is None:
+            return None
+        if isinstance(y, list) and gives_one_size(self):
+            y = torch.stack(y)
+        shapes, outputs = [tuple(x.shape) for x in images], [images[0].new_empty(1)] * len(images)
+        parts = functools.partial(Parts.of_params, context.op, params, shapes, outputs, self._record_of_part)
+        record = Record(parts=ReplayedParts(context.op, images, parts))
+        record.items = params
+        return [y], record
 
     def _with_labels_of_list(self, keys: Sequence[DataKey], inputs: Sequence[Any], y: Any, parts: Any) -> list[Any]:
         """What the inputs of a call on a list become, whose images became y."""

@@ -123,7 +123,7 @@ class Parts:
 
     def params(self, read: Callable[[Any], Any]) -> Any:
         """The parameters of the list, of what `read` says are those of a part."""
-        return _joined(self, [read(call) for call in self.calls])
+        return joined(self, [read(call) for call in self.calls])
 
     def matrix(self, read: Callable[[Any], Tensor | None]) -> Any:
         """The matrices (B, 3, 3) of the list, of what `read` says are those of a part; None if there are none."""
@@ -147,11 +147,11 @@ def call_in_parts(
     """
     module = modules[0]
     op, images = type(module).__name__, check_list(type(module).__name__, "input", inputs[keys.index(DataKey.INPUT)])
-    _refuse_list(op, modules)
+    refuse_list(op, modules)
     has_seeds = isinstance(seed, Tensor) and seed.dim() == 1
     parts, each, seeds = Parts(op, _rows_of_parts(images, modules, has_seeds)), [], None
     if params is None and len(parts.rows) > 1:
-        seeds, generator = _seeds_of_list(op, modules, parts.count, seed, generator or module.generator), None
+        seeds, generator = seeds_of_list(op, modules, parts.count, seed, generator or module.generator), None
     for rows in parts.rows:
         replayed = None if params is None else params_of_rows(params, rows, parts.count)
         own_seed = seed if seeds is None else seeds[list(rows)]
@@ -164,7 +164,7 @@ def call_in_parts(
 # --- the parts of a call --------------------------------------------------------------------------------------------
 
 
-def _refuse_list(op: str, modules: Any) -> None:
+def refuse_list(op: str, modules: Any) -> None:
     """Raise where a list cannot be augmented image by image."""
     for module in modules:
         if getattr(module, "mixes_samples", False):
@@ -199,7 +199,7 @@ def _gives_samples_sizes(module: Any, has_seeds: bool) -> bool:
     return bool(chooses) and module._sizes_after(SIZES) is None
 
 
-def _seeds_of_list(op: str, modules: Sequence[Any], count: int, seed: Seed, generator: Generator | None) -> Tensor:
+def seeds_of_list(op: str, modules: Sequence[Any], count: int, seed: Seed, generator: Generator | None) -> Tensor:
     """A seed of each image (B,): those that are given, or what follows from one seed or from the key of a generator.
 
     They are one for all where all that draws has `same_on_batch`.
@@ -267,22 +267,22 @@ def of_rows(op: str, key: DataKey, value: Any, rows: Sequence[int], count: int) 
 # The shape of the images is (B, 4), a row of each. What is as large as the images is a list, an entry (k, ...) of each.
 
 
-def _joined(parts: Parts, each: Sequence[Any]) -> Any:
+def joined(parts: Parts, each: Sequence[Any]) -> Any:
     """Parameters of the parts as those of the list: by name, items of children, or what has none."""
     if isinstance(each[0], list):
         return _joined_items(parts, each)
     if not isinstance(each[0], Mapping):
         return each[0]
-    joined: dict[str, Any] = {}
+    named: dict[str, Any] = {}
     for name in each[0]:
         values = [params[name] for params in each]
         if name == _SHAPE:
             counts = [len(rows) for rows in parts.rows]
             shapes = [value.new_tensor([[int(value[0]) // n, *value[1:].tolist()]]) for value, n in zip(values, counts)]
-            joined[name] = parts.join([shape.expand(n, -1) for shape, n in zip(shapes, counts)])
+            named[name] = parts.join([shape.expand(n, -1) for shape, n in zip(shapes, counts)])
         else:
-            joined[name] = _joined_rows(parts, values)
-    return joined
+            named[name] = _joined_rows(parts, values)
+    return named
 
 
 def _joined_rows(parts: Parts, values: Sequence[Any]) -> Any:
@@ -298,8 +298,8 @@ def _joined_rows(parts: Parts, values: Sequence[Any]) -> Any:
 def _joined_items(parts: Parts, each: Sequence[Sequence[Any]]) -> list[Any]:
     kinds = [[_kind(item) for item in items] for items in each]
     if all(kind == kinds[0] for kind in kinds) and all(_samples(item) is None for item in chain(*each)):
-        return [_replaced(items[0], _joined(parts, [_data(item) for item in items])) for items in zip(*each)]
-    joined = []
+        return [_replaced(items[0], joined(parts, [_data(item) for item in items])) for items in zip(*each)]
+    items_of_list = []
     for rows, items in zip(parts.rows, each):
         size = len(rows)
         for item in items:
@@ -308,9 +308,9 @@ def _joined_items(parts: Parts, each: Sequence[Sequence[Any]]) -> list[Any]:
             length = size if samples is None else len(samples)
             is_of_list = torch.zeros(length // size * parts.count, dtype=torch.bool, device="cpu")
             is_of_list[[i // size * parts.count + rows[i % size] for i in inside]] = True
-            data = _joined(Parts(parts.op, [range(len(inside))]), [_data(item)])
-            joined.append(_replaced(item, data, is_of_list))
-    return joined
+            data = joined(Parts(parts.op, [range(len(inside))]), [_data(item)])
+            items_of_list.append(_replaced(item, data, is_of_list))
+    return items_of_list
 
 
 def params_of_rows(params: Any, rows: Sequence[int], count: int) -> Any:

@@ -19,7 +19,7 @@ from torch import Tensor
 from torch.compiler import is_compiling
 
 from kvision.augmentation.columns import Column, Columns, DrawPlan
-from kvision.augmentation.drawn_pass import DrawnListPass
+from kvision.augmentation.drawn_pass import DrawnListPass, SizedDraws
 from kvision.augmentation.draws import HEADER, MAX_DRAWS, MAX_NUMBERS, Draw, Request, make_plan
 from kvision.augmentation.engine.call_context import CallContext
 from kvision.augmentation.engine.execution import Execution, ListExecution, matrix_type
@@ -37,6 +37,7 @@ from kvision.geometry.transform.lists.arguments import sizes as sides_of
 
 Size = tuple[int, ...]
 _CORNERS = ((64, 64), (128, 64), (64, 128))  # sizes from which linear functions follow; at the others they are compared
+_ANY = 2  # images of a batch in plans, which do not depend on it
 _PROBES = (*_CORNERS, *SIZES, (1, 1), (3, 1000), (641, 427))
 
 
@@ -86,13 +87,15 @@ class SizedNumbers(NamedTuple):
 class _Reading:
     """What augmentations draw, and the formulas of their matrices, for a size of images."""
 
-    def __init__(self, modules: Sequence[Any], batch: int, channels: int) -> None:
+    def __init__(self, modules: Sequence[Any], batch: int, channels: int, context: CallContext) -> None:
         self.modules, self.shape = modules, (batch, channels)
+        self.is_certain, self.has_owners = context.is_certain, context.owners is not None
 
     def draws(self, size: Size) -> list[Any]:
         """Those of all augmentations, as `plan_run` asks for them."""
         shape = (*self.shape, *size)
-        requests = [m._request(shape) for m in self.modules if m.p > 0 and m.p_batch > 0]
+        applied = [m for m in self.modules if self.is_certain or (m.p > 0 and m.p_batch > 0)]
+        requests = [m._request(shape, self.is_certain, self.has_owners) for m in applied]
         return [draw for request in requests if request is not None for draw in request.draws]
 
     def chains(self, size: Size) -> list[Sequence[Transform]]:
@@ -102,7 +105,7 @@ class _Reading:
         return [() if chain is None else chain for chain in chains]
 
 
-class _Sized:
+class Sized:
     """The draws and the inputs of matrices that depend on the size of an image, among those of augmentations."""
 
     def __init__(self, reading: _Reading) -> None:
@@ -154,7 +157,7 @@ def _kind(draw: Any) -> Any:
 
 
 class _ListPlan(NamedTuple):
-    """A run on lists of so many images, whatever their sizes."""
+    """A run on lists, whatever their lengths and sizes."""
 
     run: RunPlan
     steps: int  # which read lists
@@ -163,6 +166,7 @@ class _ListPlan(NamedTuple):
     listed: Sequence[int]  # the draws with numbers of each image, by their positions among all
     numbers: SizedNumbers | None
     drawn: DrawnListPass | None  # the draws with the first step
+    sized: SizedDraws | None  # the draws alone
 
 
 # --- the plan -------------------------------------------------------------------------------------------------------
@@ -172,26 +176,19 @@ def _make_plan(
     images: Sequence[Tensor], modules: Sequence[Any], context: CallContext, position: int
 ) -> _ListPlan | None:
     """The plan of a run; None where it is not made of passes: others draw for the pixels of a batch, or are found in it."""
-    if any(decides(m) or m._derives or m.mixes_samples or not m.takes_lists for m in modules):
+    batch, channels = _ANY, images[0].shape[0]
+    found = find_sized(modules, channels, context)
+    if found is None or not found[0].has_same_draws:
         return None
-    batch, channels = len(images), images[0].shape[0]
-    own = _number_of_own_size(modules, batch, channels)
-    if own is None:
-        return None
+    sized, own = found
     has_one_size = own < len(modules)
-    reading = modules[: own + has_one_size]
-    sized = _Sized(_Reading(reading, batch, channels))
-    if not sized.has_same_draws or not sized.has_same_forms:
-        return None
     like = images[0].detach().new_empty(1).expand(batch, channels, *SIZES[0])
     run, _ = plan_run(like, modules, context, position, sized.bound)
     if len(run.draws) > 1 or any(draws.learned is not None for draws in run.draws):
         return None
-    if not all(_takes_list(step, modules, like.dtype) for step in run.steps):
+    if not all(takes_list(step, modules, like.dtype) for step in run.steps):
         return None
-    steps = len(run.steps)
-    if has_one_size:
-        steps = 1 + next(i for i, step in enumerate(run.steps) if isinstance(step, Joined) and own in step.geometric)
+    steps = count_list_steps(run.steps, own if has_one_size else None)
     if context.output.memory_format is not None and not has_one_size:
         return None
     numbers = SizedNumbers.of(sized.numbers) if sized.draws or sized.count else None
@@ -204,12 +201,33 @@ def _make_plan(
         draws = _with_numbers(draws, sized.count)
     if draws is not None and (_count_draws(draws) > MAX_DRAWS or len(draws.numbers) > MAX_NUMBERS):
         return None
-    drawn = None
+    drawn = sized_draws = None
+    linear = torch.empty(3, 0, dtype=torch.float64, device="cpu") if numbers is None else numbers.linear()
+    if draws is not None:
+        sized_draws = SizedDraws(draws, listed, linear)
     first = run.steps[0] if run.steps else None
-    if draws is not None and isinstance(first, Joined) and (steps > 1 or not has_one_size):
-        linear = torch.empty(3, 0, dtype=torch.float64, device="cpu") if numbers is None else numbers.linear()
+    has_list_first = context.owners is None and (steps > 1 or not has_one_size)
+    if draws is not None and isinstance(first, Joined) and has_list_first:
         drawn = DrawnListPass(draws, listed, linear, first.image_pass, like.shape, like.dtype)
-    return _ListPlan(run, steps, has_one_size, draws, listed, numbers, drawn)
+    return _ListPlan(run, steps, has_one_size, draws, listed, numbers, drawn, sized_draws)
+
+
+def find_sized(modules: Sequence[Any], channels: int, context: CallContext) -> tuple[Sized, int] | None:
+    """What depends on the sizes of images, and how many augmentations leave them these; None for what is no run on a list."""
+    if any(decides(m) or m._derives or m.mixes_samples or not m.takes_lists for m in modules):
+        return None
+    own = _number_of_own_size(modules, _ANY, channels)
+    if own is None:
+        return None
+    sized = Sized(_Reading(modules[: own + 1], _ANY, channels, context))
+    return (sized, own) if sized.has_same_forms else None
+
+
+def count_list_steps(steps: Sequence[Step], crop: int | None) -> int:
+    """How many steps read lists: all, or those up to the one with the augmentation that gives one size."""
+    if crop is None:
+        return len(steps)
+    return 1 + next(i for i, step in enumerate(steps) if isinstance(step, Joined) and crop in step.geometric)
 
 
 def _number_of_own_size(modules: Sequence[Any], batch: int, channels: int) -> int | None:
@@ -225,7 +243,7 @@ def _number_of_own_size(modules: Sequence[Any], batch: int, channels: int) -> in
     return len(modules)
 
 
-def _takes_list(step: Step, modules: Sequence[Any], dtype: torch.dtype) -> bool:
+def takes_list(step: Step, modules: Sequence[Any], dtype: torch.dtype) -> bool:
     """Whether a step, of those of a run on images of a type, is one operator on the images of a list."""
     if not isinstance(step, Alone):
         return isinstance(step, Joined)
@@ -364,6 +382,11 @@ class ListParts(Parts):
         size = sides[:2] if is_compiling() else (max(sides[::2]), max(sides[1::2]))
         return (*self._call.shape, *size)
 
+    def done(self, i: int) -> tuple[Sequence[Child], Sequence[Stage]]:
+        """What an image got, and what its labels have to follow."""
+        record = self._call.record([i])
+        return record.children, record.stages.stages
+
     def of_child(self, number: int) -> ListParts:
         """The calls of an augmentation of the run."""
         return ListParts(self._call, number)
@@ -378,13 +401,14 @@ def run_list(images: list[Tensor], children: Sequence[Child], context: CallConte
         return None
     modules, first = [child.module for child in children], images[0]
     own = (
-        len(images),
         first.shape[0],
         first.dtype,
         context.position,
         context.seed is None,
         context.once,
         context.output,
+        context.is_certain,
+        context.owners is None,
     )
     key = ("list run", *own, *map(id, modules))
     plan: _ListPlan | None = context.plans.made(key, lambda: _make_plan(images, modules, context, context.position))
@@ -425,25 +449,37 @@ def _execute(
     if drawn is not None:
         x, columns, sides = drawn
     else:
-        sides = sides_of(images)  # which checks them
-        if plan.draws is not None and keys is not None:
-            columns = _draw(plan, plan.draws, like, keys, sides)
+        of_sizes = None if plan.sized is None or keys is None or is_compiling() else plan.sized.run(images, keys)
+        if of_sizes is not None:
+            columns, sides = of_sizes
+        else:
+            sides = sides_of(images)  # which checks them
+            if plan.draws is not None and keys is not None:
+                columns = _draw(plan, plan.draws, like, keys, sides)
+        if columns is not None:
+            columns = plan.run.of_owners(columns, context.owners)
     needs_executions = len(run.steps) > plan.steps or any(isinstance(step, Alone) for step in run.steps)
     executions = run.executions(like, columns, keys) if needs_executions else []
+    for execution in executions:
+        execution.shape = (len(images), *execution.shape[1:])
     running = Running(modules, executions, columns, context.has_labels)
-    for i, step in enumerate(run.steps):
-        if i == 0 and drawn is not None:
-            continue
-        if i >= plan.steps:  # of a batch
-            x, _ = step.run(x, running)
-            continue
-        if isinstance(step, Alone):
-            x = modules[step.number]._run_list(x, executions[step.number])
-            continue
-        assert isinstance(step, Joined)
-        columns_of, fill, size, *rest = step.image_pass.arguments(like_batch(x), columns)
-        if plan.has_one_size and i == plan.steps - 1:
-            x, *_ = warp_and_color_list(x, columns_of, fill, size, *rest)
-        else:
-            x = list(warp_and_color_to_list(x, columns_of, fill, len(size) > 0, *rest)[: len(images)])
+    done = 0 if drawn is None else 1
+    x = run_list_steps(x, run.steps[done:], running, plan.steps - done, plan.has_one_size)
     return x, columns, keys, sides
+
+
+def run_list_steps(x: Any, steps: Sequence[Step], running: Running, of_list: int, has_one_size: bool) -> Any:
+    """What steps make of a list, which `of_list` of them read; the last of these may give a batch."""
+    for i, step in enumerate(steps):
+        if i >= of_list:
+            x, _ = step.run(x, running)
+        elif isinstance(step, Alone):
+            x = running.modules[step.number]._run_list(x, running.executions[step.number])
+        else:
+            assert isinstance(step, Joined)
+            columns, fill, size, *rest = step.image_pass.arguments(like_batch(x), running.columns)
+            if has_one_size and i == of_list - 1:
+                x, *_ = warp_and_color_list(x, columns, fill, size, *rest)
+            else:
+                x = list(warp_and_color_to_list(x, columns, fill, len(size) > 0, *rest)[: len(x)])
+    return x

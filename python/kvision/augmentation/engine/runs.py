@@ -186,9 +186,7 @@ def _execute_alone(x: Tensor, child: Child, context: CallContext, position: int)
     """An augmentation of images by their masks, another container, or any nn.Module of images."""
     module: Any = child.module
     if hasattr(module, "_execute_nested"):
-        # Where its chain begins, so that its draws are not those of others:
-        inside = context._replace(position=(position + 1) * 256 % (1 << 20))
-        y, stage, child.record = module._execute_nested(x, child.params, inside)
+        y, stage, child.record = module._execute_nested(x, child.params, inside_child(context, position))
         return y, stage
     if not hasattr(module, "_contribution"):
         y = module(x)
@@ -203,6 +201,11 @@ def _execute_alone(x: Tensor, child: Child, context: CallContext, position: int)
         seed = seed + ((position + 1) << 32)  # as a seed is that of a chain of one
     y, child.record = module._run_with_masks(x, masks, child.params, seed, context.generator_of(module))
     return y, Applied(module, child.record, module.flags)
+
+
+def inside_child(context: CallContext, position: int) -> CallContext:
+    """The context for the container at a position: its chain begins where its draws are not those of others."""
+    return context._replace(position=(position + 1) * 256 % (1 << 20))
 
 
 def _key(x: Tensor, children: Sequence[Child], context: CallContext, position: int) -> Hashable:
@@ -274,10 +277,16 @@ class RunPlan(NamedTuple):
         drawn = [draws.draw(x[::frames] if frames > 1 else x, keys) for draws in self.draws]
         columns = drawn[0] if len(drawn) == 1 else torch.cat(drawn, 1)
         columns = columns.repeat_interleave(frames, 0) if frames > 1 else columns
-        if self.owners is None or context.owners is None:
+        return self.of_owners(columns, context.owners)
+
+    def of_owners(self, columns: Tensor, owners: Tensor | None) -> Tensor:
+        """Drawn columns, and others behind them, where samples get only the augmentations that `owners` (B,) says."""
+        if self.owners is None or owners is None:
             return columns
-        own = (context.owners[:, None] == self.owners).to(columns.device, non_blocking=True)
-        return torch.where(own, columns, constant(self.identity, columns))
+        own = (owners[:, None] == self.owners).to(columns.device, non_blocking=True)
+        drawn = columns[:, : len(self.identity)]
+        chosen = torch.where(own, drawn, constant(self.identity, columns))
+        return chosen if drawn.shape == columns.shape else torch.cat([chosen, columns[:, len(self.identity) :]], 1)
 
     def executions(self, x: Tensor, columns: Tensor | None, keys: Keys | None, frames: int = 1) -> list[Execution]:
         """The execution of each augmentation."""
@@ -301,7 +310,7 @@ def _execute_run(
     result: tuple[Tensor, Tensor | None] | None = None
     links: Sequence[Tensor] | None = None
     if run[0].params is not None:
-        executions, columns = _replay(x, run)
+        executions, columns = replayed(x, run)
         steps: Sequence[Step] = plan_steps(modules, executions, context.once, x.dtype, context.output)
     else:
         keys = None
@@ -337,8 +346,8 @@ def _run_steps(x: Tensor, run: Sequence[Child], steps: Sequence[Step], running: 
     return x, stages
 
 
-def _replay(x: Tensor, run: Sequence[Child]) -> tuple[list[Execution], Tensor | None]:
-    """The executions of augmentations with given parameters, and the columns of all."""
+def replayed(x: Tensor, run: Sequence[Child]) -> tuple[list[Execution], Tensor | None]:
+    """The executions of augmentations with the parameters that they replay, and the columns of all."""
     executions, shape, drawn = [], tuple(x.shape), []
     for child in run:
         module: Executor = child.module  # type: ignore[assignment]  # by runs_of

@@ -1,0 +1,282 @@
+"""Containers of images of different sizes: runs by the launches of a batch, and the images that choose a child as one list.
+
+Each image has a seed, and becomes what it becomes alone with it. Children that have no kernels for lists, and nothing else, are
+called image by image. What was done to an image is put together when its labels, parameters or matrix are asked for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import torch
+from torch import Generator, Tensor
+from torch.compiler import is_compiling
+
+from kvision.augmentation.engine.augmentation import AugmentationBase
+from kvision.augmentation.engine.call_context import CallContext
+from kvision.augmentation.engine.execution import matrix_type
+from kvision.augmentation.engine.list_calls import Parts, joined, params_of_rows, refuse_list, seeds_of_list
+from kvision.augmentation.engine.list_replays import replay_list
+from kvision.augmentation.engine.list_runs import run_list
+from kvision.augmentation.engine.record import Child, ParamItem, Record, SomeParamItem
+from kvision.augmentation.engine.runs import decides, execute, inside_child, runs_of
+from kvision.augmentation.engine.stages import Chain, Nested, Stage
+from kvision.augmentation.engine.turns import Turn
+from kvision.augmentation.keys import Seed
+from kvision.augmentation.sample_rows import read_rows
+from kvision.augmentation.warp_and_color import SAME
+
+Done = tuple[Sequence[Child], Sequence[Stage]]  # the children that an image got, and what labels have to follow
+
+
+class _Step(NamedTuple):
+    """What was done to some images, by their numbers among those of the container."""
+
+    samples: Sequence[int]
+    done: Any  # of image i among these: a Done
+
+    def of(self, sample: int) -> Done:
+        own: Done = self.done(self.samples.index(sample))
+        return own
+
+
+class ChainParts(Parts):
+    """A call of a container on a list: each image is a part, whose record is made when it is asked for."""
+
+    def __init__(self, op: str, images: Sequence[Tensor], results: Sequence[Tensor], steps: Sequence[_Step]) -> None:
+        self.op, self.count, self._steps = op, len(images), steps
+        self._shapes = [(1, *x.shape) for x in images]
+        self._sizes = [tuple(y.shape[-2:]) for y in results]
+        self._identity = matrix_type(results[0])
+
+    @property
+    def rows(self) -> list[list[int]]:  # type: ignore[override]
+        return [[b] for b in range(self.count)]
+
+    @cached_property
+    def calls(self) -> list[Any]:  # type: ignore[override]
+        return [self._record(b) for b in range(self.count)]
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return (self.count, *map(max, zip(*(shape[1:] for shape in self._shapes))))
+
+    def params(self, read: Callable[[Any], Any]) -> list[Any]:
+        """The parameters of children, as those of a batch: of each turn those of the images that it has."""
+        items: list[Any] = []
+        for step in self._steps:
+            of_child: dict[str, list[tuple[int, Child]]] = {}
+            for i, sample in enumerate(step.samples):
+                for child in step.done(i)[0]:
+                    of_child.setdefault(child.name, []).append((sample, child))
+            for name, own in of_child.items():
+                data = joined(Parts(self.op, [[i] for i in range(len(own))]), [child.read_params() for _, child in own])
+                samples = torch.zeros(self.count, dtype=torch.bool, device="cpu")
+                samples[[sample for sample, _ in own]] = True
+                is_of_all = own[0][1].samples is None
+                items.append(ParamItem(name, data) if is_of_all else SomeParamItem(name, data, samples))
+        return items
+
+    def _record(self, sample: int) -> Record:
+        children: list[Child] = []
+        stages: list[Stage] = []
+        for step in self._steps:
+            if sample in step.samples:
+                own, done = step.of(sample)
+                children += own
+                stages += done
+        record = Record(self._shapes[sample], children, Chain(stages))
+        record.size, record.identity = self._sizes[sample], self._identity
+        return record
+
+
+def run_chain(
+    module: Any, images: list[Tensor], context: CallContext, generator: Generator | None
+) -> tuple[Any, ChainParts] | None:
+    """The results of a container on a list, a list or a batch, and its parts; None where others call it."""
+    if not _runs(module, images, context):
+        return None
+    modules = list(module.modules())
+    refuse_list(context.op, modules)
+    seeds = seeds_of_list(context.op, modules, len(images), context.seed, generator or module.generator)
+    y, steps = _run_container(module, images, context._replace(seed=seeds, generator=None))
+    parts = ChainParts(context.op, images, y, steps)
+    return y, parts
+
+
+def replay_chain(module: Any, images: list[Tensor], params: Any, context: CallContext) -> Any:
+    """The results of a container on a list with given parameters, a list or a batch; None where others call it."""
+    return _replay_container(module, images, params, context) if _runs(module, images, context) else None
+
+
+def _runs(module: Any, images: Sequence[Tensor], context: CallContext) -> bool:
+    """Whether a container is run here on images, which have several sizes."""
+    if len({x.shape for x in images}) == 1 or not module._plans.made("chains", lambda: _takes_lists(module)):
+        return False
+    has_bytes_and_floats = images[0].dtype == torch.uint8 and any(
+        m._result_dtype(torch.uint8) != torch.uint8 for m in module.modules() if isinstance(m, AugmentationBase)
+    )
+    return not has_bytes_and_floats and context.output == SAME and not context.once and not is_compiling()
+
+
+def _takes_lists(container: Any) -> bool:
+    """Whether all that is in a container takes an image of a list alone, keeps its type, and draws nothing from its labels."""
+    if not _is_plain(container) or any(getattr(m, "_output", SAME) != SAME for m in container.modules()):
+        return False
+    return not any(
+        m.mixes_samples or m.reads_labels is not None or m.needs_masks or decides(m) or not m.takes_lists
+        for m in container.modules()
+        if isinstance(m, AugmentationBase)
+    )
+
+
+def _is_plain(module: Any) -> bool:
+    """Whether a module is a container that runs children one after the other, or chooses them."""
+    return bool(getattr(module, "_runs_lists", False))
+
+
+# --- execution ------------------------------------------------------------------------------------------------------
+
+
+def _run_container(module: Any, images: list[Tensor], context: CallContext) -> tuple[Any, list[_Step]]:
+    """The children of a container on images, whose seeds the context has."""
+    in_turns = module._in_turns(images, None, context)
+    if in_turns is None:
+        children = [Child(name, child) for name, child in module.named_children()]
+        return _run_children(images, children, context, context.position)
+    turns, own = in_turns
+    results, steps = list(images), list[_Step]()
+    for turn in turns:
+        if turn.samples:
+            steps += _run_turn(results, turn, own)
+    return results, steps
+
+
+def _run_turn(results: list[Tensor], turn: Turn, context: CallContext) -> list[_Step]:
+    """Run the children of a turn on its images among `results`, whose places the new ones take."""
+    samples, owners = list(turn.samples), [-1] * len(turn.samples)
+    own = context._replace(seed=_rows(context.seed, samples, len(results)))
+    if turn.parts is not None:
+        for number, chosen in enumerate(turn.parts):
+            for sample in chosen:
+                owners[samples.index(sample)] = number
+        own = own._replace(once=True, owners=torch.tensor(owners, device="cpu"))
+    y, steps = _run_children([results[i] for i in samples], turn.children, own, turn.position)
+    for i, result in zip(samples, y):
+        results[i] = result
+    return [_Step([samples[i] for i in step.samples], _Chosen(step.done, owners)) for step in steps]
+
+
+class _Chosen(NamedTuple):
+    """What images of a turn got, of which each has a child, or all have."""
+
+    done: Any
+    owners: Sequence[int]
+
+    def __call__(self, i: int) -> Done:
+        children, stages = self.done(i)
+        owner = self.owners[i]
+        if owner < 0:
+            return [replace(child, samples=[0], batch=1) for child in children], stages
+        return [replace(children[owner], samples=[0], batch=1, rows=[0])], stages
+
+
+def _run_children(
+    images: list[Tensor], children: Sequence[Child], context: CallContext, position: int
+) -> tuple[Any, list[_Step]]:
+    """Children one after the other, each run and each container inside by itself."""
+    everything, steps = range(len(images)), list[_Step]()
+    y: Any = images
+    for run, is_joined in runs_of(children, context.plans):
+        images = list(y)
+        own = context._replace(position=position)
+        done = run_list(images, run, own) if is_joined else None
+        module: Any = run[0].module
+        if done is not None:
+            y, parts = done
+            steps.append(_Step(everything, parts.done))
+        elif not is_joined and _is_plain(module):
+            inside = module._inside(inside_child(context, position))
+            y, more = _run_container(module, images, inside)
+            parts_inside = ChainParts(context.op, images, y, more)
+            module._keep(Record(parts=parts_inside))
+            steps.append(_Step(everything, _Inside(run[0], parts_inside)))
+        else:
+            y, each = _run_each(images, run, context, position)
+            steps.append(_Step(everything, each.__getitem__))
+        position += len(run)
+    return y, steps
+
+
+class _Inside(NamedTuple):
+    """What a container that is a child did to images."""
+
+    child: Child
+    parts: ChainParts
+
+    def __call__(self, i: int) -> Done:
+        module: Any = self.child.module
+        record = self.parts.calls[i]
+        return [replace(self.child, record=record)], [Nested(record.stages.stages, module._label_settings)]
+
+
+def _run_each(
+    images: list[Tensor], children: Sequence[Child], context: CallContext, position: int
+) -> tuple[list[Tensor], list[Done]]:
+    """Children that have no kernels for lists, on each image alone."""
+    results: list[Tensor] = []
+    each: list[Done] = []
+    for b, x in enumerate(images):
+        own, owners = [replace(child) for child in children], context.owners
+        alone = context._replace(seed=_rows(context.seed, [b], len(images)))
+        if owners is not None:
+            alone = alone._replace(owners=owners[b : b + 1])
+        y, stages = execute(x[None], own, alone, position)
+        results.append(y[0])
+        each.append((own, stages))
+    return results, each
+
+
+# --- replay ---------------------------------------------------------------------------------------------------------
+
+
+def _replay_container(module: Any, images: list[Tensor], params: Any, context: CallContext) -> Any:
+    """The children of a container on images with given parameters."""
+    children = module._children_of_call(params, context)
+    if all(child.samples is None for child in children):
+        return _replay_children(images, children, context)
+    results = list(images)
+    for turn in module._turns_of_params(children, len(images)):
+        own = [replace(child, samples=None) for child in turn.children]
+        y = _replay_children([results[i] for i in turn.samples], own, context)
+        for i, result in zip(turn.samples, y):
+            results[i] = result
+    return results
+
+
+def _replay_children(images: list[Tensor], children: Sequence[Child], context: CallContext) -> Any:
+    y: Any = images
+    for run, is_joined in runs_of(children, context.plans):
+        images, module = list(y), run[0].module
+        done = replay_list(images, run, context) if is_joined else None
+        if done is not None:
+            y = done
+        elif not is_joined and _is_plain(module):
+            y = _replay_container(module, images, run[0].params, module._inside(context))  # type: ignore[operator]
+        else:
+            y = []
+            for b, x in enumerate(images):
+                own = [replace(child, params=params_of_rows(child.params, [b], len(images))) for child in run]
+                y.append(execute(x[None], own, context)[0][0])
+    return y
+
+
+def _rows(seed: Seed, samples: Sequence[int], count: int) -> Seed:
+    assert isinstance(seed, Tensor)
+    return seed if len(samples) == count else read_rows(seed, samples)
+
+
+__all__ = ["ChainParts", "replay_chain", "run_chain"]

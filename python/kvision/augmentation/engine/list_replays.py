@@ -1,0 +1,143 @@
+"""Runs on lists of images of different sizes with given parameters, by the launches of a batch."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+from torch.compiler import is_compiling
+
+from kvision._dtype import compute_dtype
+from kvision.augmentation.engine.call_context import CallContext
+from kvision.augmentation.engine.execution import Execution
+from kvision.augmentation.engine.list_calls import SIZES, Parts
+from kvision.augmentation.engine.list_runs import (
+    Sized,
+    SizedNumbers,
+    count_list_steps,
+    find_sized,
+    run_list_steps,
+    takes_list,
+)
+from kvision.augmentation.engine.passes import Alone, Running, Step, plan_steps
+from kvision.augmentation.engine.record import Child
+from kvision.augmentation.engine.runs import Call, replayed, runs_of
+from kvision.augmentation.transforms import Transform
+from kvision.geometry.transform.lists.arguments import largest_shape, like_batch
+from kvision.geometry.transform.lists.arguments import sizes as sides_of
+
+
+class ReplayedParts(Parts):
+    """The parts of a call with given parameters, each an image, which `make` makes when they are asked for."""
+
+    def __init__(self, op: str, images: Sequence[Tensor], make: Callable[[], Parts]) -> None:
+        self.op, self.count, self._make, self._shape = op, len(images), make, largest_shape(images)
+        self.rows = [[b] for b in range(self.count)]
+
+    @cached_property
+    def calls(self) -> list[Any]:  # type: ignore[override]
+        return self._make().calls
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return self._shape
+
+
+class _Replay(NamedTuple):
+    """A run with given parameters on lists, whatever their lengths and sizes."""
+
+    sized: Sized
+    own: int  # how many augmentations leave images their sizes
+    numbers: SizedNumbers | None  # inputs of matrices
+    has_sized_identity: bool  # columns of samples that are not chosen depend on the size
+
+
+def replay_list(images: list[Tensor], children: Sequence[Child], context: CallContext) -> Any:
+    """The results of a run with the parameters of its children, a list or a batch; None where others replay it."""
+    modules: list[Any] = [child.module for child in children]
+    first, names = images[0], [tuple(child.params or ()) for child in children]
+    runs = runs_of(children, context.plans)
+    if is_compiling() or len(runs) != 1 or not runs[0][1] or any(child.samples is not None for child in children):
+        return None
+    key = ("list replay", first.shape[0], first.dtype, context.once, context.output, *map(id, modules), *names)
+    replay: _Replay | None = context.plans.made(key, lambda: _make(images, children, context))
+    if replay is None:
+        return None
+    like = like_batch(images)
+    executions, columns = replayed(like.new_empty(1).expand(len(images), first.shape[0], *SIZES[0]), children)
+    if replay.has_sized_identity and any(execution.chosen is not None for execution in executions):
+        return None
+    chains: Mapping[int, Sequence[Transform]] = {}
+    if replay.numbers is not None:
+        own = replay.numbers.of_each(sides_of(images)).to(compute_dtype(like)).to(like.device, non_blocking=True)
+        width = 0 if columns is None else columns.shape[1]
+        columns = own if columns is None else torch.cat([columns.to(own), own], 1)
+        chains = replay.sized.bound(modules, [_call(execution) for execution in executions], width)
+    steps = plan_steps(modules, executions, context.once, first.dtype, context.output, chains)
+    if not all(_takes_list(step, modules, first.dtype) for step in steps):
+        return None
+    has_one_size = replay.own < len(modules)
+    if has_one_size and not executions[replay.own].applied:
+        return None
+    running = Running(modules, executions, columns, False)
+    return run_list_steps(
+        images, steps, running, count_list_steps(steps, replay.own if has_one_size else None), has_one_size
+    )
+
+
+def _call(execution: Execution) -> Call:
+    span = None if execution.columns is None else execution.columns.span
+    return Call(execution.shape, execution.applied, False, None, span)
+
+
+def _make(images: Sequence[Tensor], children: Sequence[Child], context: CallContext) -> _Replay | None:
+    modules: list[Any] = [child.module for child in children]
+    found = find_sized(modules, images[0].shape[0], context)
+    has_pixels = any(m._param_generator is not None and m._param_generator.per_pixel for m in modules)
+    if found is None or has_pixels or context.output.memory_format is not None:
+        return None
+    if any(isinstance(x, Tensor) and x.is_cuda for child in children for x in (child.params or {}).values()):
+        return None
+    sized, own = found
+    sized.draws = []
+    numbers = SizedNumbers.of(sized.numbers) if sized.count else None
+    if numbers is None and sized.count:
+        return None
+    shape = (len(images), images[0].shape[0])
+    if not _has_same_columns(children, shape, None):
+        return None
+    none = torch.zeros(len(images), dtype=torch.bool, device="cpu")
+    return _Replay(sized, own, numbers, not _has_same_columns(children, shape, none))
+
+
+def _has_same_columns(children: Sequence[Child], shape: tuple[int, int], chosen: Tensor | None) -> bool:
+    """Whether the columns of given parameters do not depend on the size of images (B, C)."""
+    for child, *shapes in zip(children, *(_shapes(children, (*shape, *size)) for size in SIZES)):
+        own: Any = child.module
+        columns = [
+            own._columns_of(child.params, of_size, torch.device("cpu"), chosen).drawn
+            for of_size in shapes
+            if own._executes_columns(of_size)
+        ]
+        if len(columns) == 1 or (columns and not torch.equal(*columns)):
+            return False
+    return True
+
+
+def _shapes(children: Sequence[Child], shape: tuple[int, ...]) -> list[tuple[int, ...]]:
+    """The shapes of the images of each child."""
+    shapes = [shape]
+    for child in children:
+        module: Any = child.module
+        shapes.append(module.output_shape(shapes[-1], module.flags))
+    return shapes[:-1]
+
+
+def _takes_list(step: Step, modules: Sequence[Any], dtype: torch.dtype) -> bool:
+    return takes_list(step, modules, dtype) and (not isinstance(step, Alone) or modules[step.number].replays_lists)
+
+
+__all__ = ["ReplayedParts", "replay_list"]

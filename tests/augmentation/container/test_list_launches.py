@@ -1,0 +1,174 @@
+"""Operator calls for lists of images of different sizes: as many for any number of images, but for classes that are named here."""
+
+from __future__ import annotations
+
+import warnings
+
+import pytest
+import torch
+from torch.utils._python_dispatch import TorchDispatchMode
+
+from augmentation.test_lists import pictures, seeds_of
+from benchmarks.sample_calls.augmentations import IMAGES
+from kvision import augmentation as A
+from kvision.augmentation.engine.list_chains import ChainParts
+from op_tests import assert_close
+
+SIZES = ((20, 28), (24, 18), (17, 17), (30, 25), (22, 23), (26, 21))
+
+# A call for each size, each with what its kernels lack.
+BY_SIZE = {
+    "parameters of each size from labels or corners": {"RandomCropNearBBox", "RandomIoUCrop", "RandomZoomOut"},
+    "results of sizes that differ from those of the images": {
+        "LongestMaxSize",
+        "Pad",
+        "PadIfNeeded",
+        "RandomScale",
+        "SmallestMaxSize",
+        "Transpose",
+    },
+    "a stencil or a map": {
+        "ChromaticAberration",
+        "Defocus",
+        "GlassBlur",
+        "GridDistortion",
+        "OpticalDistortion",
+        "PiecewiseAffine",
+        "RandomBoxBlur",
+        "RandomElasticTransform",
+        "RandomFisheye",
+        "RandomGaussianBlur",
+        "RandomMedianBlur",
+        "RandomMotionBlur",
+        "RandomSharpness",
+        "RandomThinPlateSpline",
+        "RingingOvershoot",
+        "Swirl",
+        "ZoomBlur",
+    },
+    "statistics or blocks of the whole image": {
+        "CommonCorruption",
+        "Downscale",
+        "RandomAutoContrast",
+        "RandomClahe",
+        "RandomEqualize",
+        "RandomJPEG",
+    },
+    "a layer of the size of the image": {
+        "RandomFog",
+        "RandomFrost",
+        "RandomGaussianIllumination",
+        "RandomLinearCornerIllumination",
+        "RandomLinearIllumination",
+        "RandomPlasmaBrightness",
+        "RandomPlasmaContrast",
+        "RandomPlasmaShadow",
+        "RandomRain",
+        "RandomSnow",
+        "Spatter",
+    },
+    "whole channels, by torch": {"RandomChannelDropout", "RandomChannelShuffle", "RandomPlanckianJitter"},
+    "objects of the masks of a call": {"MaskDropout"},
+    "lines that are turned": {"GridMask"},
+}
+
+
+class Calls(TorchDispatchMode):
+    """Counts the calls of kvision's operators."""
+
+    count = 0
+
+    def __torch_dispatch__(self, operator, types, args=(), kwargs=None):
+        self.count += operator.namespace == "kvision"
+        return operator(*args, **(kwargs or {}))
+
+
+def calls(augment, images, **options):
+    with warnings.catch_warnings(), Calls() as counted:
+        warnings.simplefilter("ignore")  # of calls without boxes or masks
+        augment(images, **options)
+    return counted.count
+
+
+@pytest.mark.parametrize("case", IMAGES, ids=lambda case: case.name)
+def test_calls_do_not_depend_on_the_number_of_images(case, backend):
+    if backend == "reference":
+        pytest.skip("this test is about the kernels")
+    augment, images = case.make(p=1.0), pictures("cpu", SIZES)
+    grows = calls(augment, images, seed=0) > calls(augment, images[:3], seed=0)
+    assert grows == any(case.name in names for names in BY_SIZE.values())
+
+
+CONTAINERS = {
+    "OneOf": lambda: A.OneOf(A.RandomAffine(20.0), A.RandomErasing(), A.ShotNoise()),
+    "SomeOf": lambda: A.SomeOf(A.RandomAffine(20.0, p=1.0), A.RandomErasing(p=1.0), A.RandomInvert(p=1.0), n=2),
+    "RandomApply": lambda: A.RandomApply(A.RandomAffine(20.0, p=1.0), A.RandomErasing(p=1.0)),
+    "chain": lambda: A.ImageSequential(
+        A.RandomHorizontalFlip(), A.OneOf(A.RandomAffine(20.0), A.RandomErasing(), A.ShotNoise()), A.RandomInvert()
+    ),
+    "containers": lambda: A.ImageSequential(A.ImageSequential(A.RandomHorizontalFlip()), A.RandomErasing()),
+    "random_apply": lambda: A.ImageSequential(A.RandomAffine(20.0), A.RandomErasing(), random_apply=1),
+}
+
+
+@pytest.mark.parametrize("name", CONTAINERS)
+def test_calls_of_containers_are_those_of_their_children(name, backend):
+    """Two for each child: the draws and what it does, and those of choices."""
+    if backend == "reference":
+        pytest.skip("this test is about the kernels")
+    augment, images = CONTAINERS[name](), pictures("cpu", [(16 + i, 40 - i) for i in range(24)])
+    assert calls(augment, images, seed=seeds_of(images)) <= 12
+
+
+REPLAYS = {
+    **{name: make for name, make in CONTAINERS.items() if name not in ("OneOf", "chain")},  # of noise, image by image
+    "run": lambda: A.ImageSequential(A.RandomAffine(20.0), A.RandomErasing(), A.ColorJitter(0.2, 0.2, 0.2, 0.1)),
+    "late crop": lambda: A.ImageSequential(A.RandomAffine(20.0), A.RandomResizedCrop((12, 14)), A.RandomInvert()),
+    "augmentation": lambda: A.RandomRotation(20.0),
+}
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.uint8], ids=str)
+@pytest.mark.parametrize("name", REPLAYS)
+def test_calls_with_given_parameters(name, dtype, backend):
+    """They give the bits of the call, without one for each image."""
+    augment, images = REPLAYS[name](), pictures("cpu", [(16 + i, 40 - i) for i in range(24)], dtype)
+    results = augment(images, seed=seeds_of(images))
+    params, matrices = augment._params, augment.transform_matrix
+    again = augment(images, params=params)
+    assert all(torch.equal(a, b) for a, b in zip(results, again)) and type(results) is type(again)
+    assert_close(augment.transform_matrix, matrices)
+    if backend != "reference":
+        assert calls(augment, images, params=params) <= 8
+
+
+MIXES = {
+    "passes": lambda: (
+        A.OneOf(A.RandomAffine(20.0), A.RandomRotation(30.0), A.ColorJitter(0.2, 0.2)),
+        A.RandomInvert(),
+    ),
+    "blur inside": lambda: (
+        A.RandomOrder(A.RandomRotation(9.0), A.RandomGaussianBlur((3, 3), (0.1, 2.0))),
+        A.RandomErasing(),
+    ),
+    "late crop": lambda: (A.SomeOf(A.RandomInvert(p=1.0), A.SpeckleNoise(p=1.0)), A.RandomResizedCrop((12, 14))),
+    "container": lambda: (A.ImageSequential(A.RandomHorizontalFlip(), A.RandomErasing()), torch.nn.AvgPool2d(2)),
+}
+
+
+@pytest.mark.parametrize("name", MIXES)
+def test_labels_gradients_and_parameters_of_mixed_containers(name, device):
+    images = [x.requires_grad_() for x in pictures(device, SIZES)]
+    augment, seeds = A.AugmentationSequential(*MIXES[name](), data_keys=["input", "bbox_xyxy"]), seeds_of(images)
+    boxes = [torch.tensor([[1.0, 2, 9, 12]], device=device)[: b % 2] for b in range(len(images))]
+    results, moved = augment(images, boxes, seed=seeds)
+    assert type(augment._record.parts) is ChainParts
+    params, matrices = augment._params, augment.transform_matrix
+    gradients = torch.autograd.grad(sum(y.square().sum() for y in results), images)
+    for b, x in enumerate(images):
+        y, own = augment(x[None], [boxes[b]], seed=seeds[b : b + 1])
+        assert torch.equal(results[b], y[0]) and torch.equal(matrices[b], augment.transform_matrix[0])
+        assert torch.equal(moved[b], own[0])
+        assert torch.allclose(gradients[b], torch.autograd.grad(y.square().sum(), x)[0], atol=1e-4)
+    again, _ = augment(images, boxes, params=params)
+    assert all(torch.allclose(a, b, atol=1e-5) for a, b in zip(again, results))

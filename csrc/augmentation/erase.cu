@@ -147,9 +147,14 @@ template <class T>
 int erase_rectangles_list(EraseRectanglesList<T> const& p, CUstream_st* stream) {
   return launch_list<EraseRectangles<T>>(p, stream);
 }
+template <class T>
+int erase_grid_list(EraseGridList<T> const& p, CUstream_st* stream) {
+  return launch_list<EraseGrid<T>>(p, stream);
+}
 
 KV_INSTANTIATE_WITH_BYTES(erase_rectangles, EraseRectangles)
 KV_INSTANTIATE_WITH_BYTES(erase_grid, EraseGrid)
 KV_INSTANTIATE_WITH_BYTES(erase_rectangles_list, EraseRectanglesList)
+KV_INSTANTIATE_WITH_BYTES(erase_grid_list, EraseGridList)
 
 }  // namespace kv::augmentation::cuda

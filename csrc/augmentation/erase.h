@@ -42,6 +42,12 @@ template <class T>
 struct EraseGrid : Erase<T> {
   float const* grids;  // (B, kGridNumbers), see GridLines
   int64_t grid_stride;
+
+  // As that of rectangles.
+  KV_HD void skip(int64_t count) {
+    this->values += count * this->value_stride;
+    grids += count * grid_stride;
+  }
 };
 
 KV_KERNEL(erase_rectangles, EraseRectangles)
@@ -68,9 +74,12 @@ struct EraseList {
 
 template <class T>
 struct EraseRectanglesList : EraseList<EraseRectangles<T>> {};
+template <class T>
+struct EraseGridList : EraseList<EraseGrid<T>> {};
 
 // On the CPU an item is some rows of all planes, on CUDA a tile.
 KV_KERNEL(erase_rectangles_list, EraseRectanglesList)
+KV_KERNEL(erase_grid_list, EraseGridList)
 constexpr int kEraseRows = 8, kEraseColumns = 2048;
 
 // The pixels [begin, end) of a side that are erased. NaN erases none.

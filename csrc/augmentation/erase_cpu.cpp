@@ -63,9 +63,14 @@ template <class T>
 void erase_rectangles_list(EraseRectanglesList<T> const& p, int64_t begin, int64_t end) {
   for_each_image(p, begin, end, [](auto const&... rows) { KV_ISA::erase_rectangles(rows...); });
 }
+template <class T>
+void erase_grid_list(EraseGridList<T> const& p, int64_t begin, int64_t end) {
+  for_each_image(p, begin, end, [](auto const&... rows) { KV_ISA::erase_grid(rows...); });
+}
 
 KV_INSTANTIATE_WITH_BYTES(erase_rectangles, EraseRectangles)
 KV_INSTANTIATE_WITH_BYTES(erase_grid, EraseGrid)
 KV_INSTANTIATE_WITH_BYTES(erase_rectangles_list, EraseRectanglesList)
+KV_INSTANTIATE_WITH_BYTES(erase_grid_list, EraseGridList)
 
 }  // namespace kv::augmentation::KV_ISA

@@ -129,11 +129,25 @@ Tensors erase_rectangles_list(Tensors const& images, Tensor const& boxes, Tensor
       });
 }
 
+Tensors erase_grid_list(Tensors const& images, Tensor const& grids, Tensor const& values) {
+  geometry::KeptSizes const kept("erase_grid_list", images);
+  EraseArguments const a{kept.op, kept.largest, grids, values};
+  a.check_grids();
+  for (int64_t const side : kept.sides) a.check_side(side);
+  Tensor const own = dense(grids);
+  return erase_list<EraseGridList>(
+      kept, a, images, [&]<class T>(Type<T>, Layout layout) { return a.grids<T>(layout, own); },
+      [&](auto const& p, [[maybe_unused]] int64_t cost) {
+        KV_RUN(erase_grid_list, a.images, p, p.list.items, 8 * cost);
+      });
+}
+
 }  // namespace
 
 KV_OPERATOR(erase_rectangles, "(Tensor images, Tensor boxes, Tensor values) -> Tensor")
 KV_OPERATOR(erase_grid, "(Tensor images, Tensor grids, Tensor values) -> Tensor")
 // The same of images (C, H, W) of different sizes, as a list.
 KV_OPERATOR(erase_rectangles_list, "(Tensor[] images, Tensor boxes, Tensor values) -> Tensor[]")
+KV_OPERATOR(erase_grid_list, "(Tensor[] images, Tensor grids, Tensor values) -> Tensor[]")
 
 }  // namespace kv::augmentation

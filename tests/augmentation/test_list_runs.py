@@ -28,6 +28,7 @@ PASSES = {
         A.Normalize(0.4, 0.3),
     ),
     "erasing": lambda: (A.RandomErasing(p=0.7), A.RandomHorizontalFlip(), A.CoarseDropout((1, 3), fill=0.5, p=0.9)),
+    "lines": lambda: (A.GridMask(rotation_range=(-0.4, 0.4), p=0.7),),
     "units": lambda: (A.GridDropout(0.4, unit_size_range=(3, 9), p=0.7), A.GridDropout(p=0.7)),
     "late crop": lambda: (A.RandomHorizontalFlip(), A.RandomResizedCrop((12, 14)), A.ColorJitter(0.2, 0.2)),
 }

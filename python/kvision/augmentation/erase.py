@@ -84,9 +84,19 @@ erase_rectangles = _register_eraser("erase_rectangles", is_erased)
 erase_grid = _register_eraser("erase_grid", is_line)
 
 
+def _of_sample(b: int, parts: Tensor, values: Tensor) -> tuple[Tensor, Tensor]:
+    return row(parts, b), row(values, b)
+
+
 register_list(
     "erase_rectangles_list",
     erase_rectangles,
-    lambda b, boxes, values: (row(boxes, b), row(values, b)),
+    _of_sample,
     lambda needs, grad, images, boxes, values: _gradients(erase_rectangles, needs, grad, boxes, values),
+)
+register_list(
+    "erase_grid_list",
+    erase_grid,
+    _of_sample,
+    lambda needs, grad, images, grids, values: _gradients(erase_grid, needs, grad, grids, values),
 )

@@ -69,7 +69,6 @@ BY_SIZE = {
     },
     "whole channels, by torch": {"RandomChannelDropout", "RandomChannelShuffle", "RandomPlanckianJitter"},
     "objects of the masks of a call": {"MaskDropout"},
-    "lines that are turned": {"GridMask"},
 }
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import functools
-import functools
 from collections.abc import Iterator, Sequence
 from typing import Any, get_args
 

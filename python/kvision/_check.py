@@ -47,7 +47,8 @@ def described(x: Any) -> str:
     """The type of what is no tensor, and the call that makes one of it."""
     kind = type(x).__name__
     if isinstance(x, (list, tuple)) and x and (isinstance(x[0], Tensor) or is_pil(x[0]) or is_array(x[0])):
-        return f"a {kind} of {len(x)} images; stack them, as kvision.to_tensor does"
+        other = "" if isinstance(x, list) else ", or pass a list where images may have different sizes"
+        return f"a {kind} of {len(x)} images; stack them, as kvision.to_tensor does{other}"
     if is_pil(x):
         return f"{kind}; kvision.to_tensor converts PIL images"
     if isinstance(x, os.PathLike) or (isinstance(x, str) and os.path.splitext(x)[1]):

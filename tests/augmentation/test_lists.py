@@ -258,6 +258,53 @@ def test_labels_of_each_image(name, device):
             assert_same(of_list[b], label[0])
 
 
+@pytest.mark.parametrize("sizes", [SMALL, SMALL[:1] * 4], ids=["of sizes", "of one size"])
+@pytest.mark.parametrize("in_launches", [True, False], ids=["launch", "each"])
+def test_masks_of_images_stay_whatever_boxes_an_image_has(in_launches, sizes, device):
+    """Masks are of instances if all images have as many of them as boxes, before a filter removes some."""
+    images = pictures(device, sizes)
+    classes = [torch.ones(1, *size, dtype=torch.uint8, device=device) for size in sizes]
+    far = torch.tensor([[900.0, 900.0, 910.0, 910.0]], device=device)
+    near = torch.tensor([[2.0, 2.0, 9.0, 9.0]], device=device)
+    first = A.RandomHorizontalFlip() if in_launches else A.RandomGaussianBlur((3, 3), (0.1, 1.0))
+    inner = A.AugmentationSequential(first, min_box_area=1.0)
+    augment = A.AugmentationSequential(inner, A.RandomCrop((9, 9)), data_keys=KEYS[:3], min_box_area=100.0)
+    boxes = [torch.cat([near, far]), near, far, near]
+    _, kept, filtered = augment(images, classes, boxes)
+    assert [len(x) for x in kept] == [1] * 4 and [len(x) for x in filtered] == [0] * 4
+    alone = augment(classes, boxes, data_keys=KEYS[1:3], params=augment._params)[0]
+    assert [len(x) for x in alone] == [1] * 4
+    instances = [torch.ones(len(x), *size, device=device) for x, size in zip(boxes, sizes)]
+    assert [len(x) for x in augment(images, instances, boxes)[1]] == [0] * 4
+    with pytest.raises(ValueError, match=r"expected masks of \[2, 1, 1, 1\] instances, .* got \[1, 1, 1, 2\]"):
+        augment(images, [*classes[:3], classes[3].repeat(2, 1, 1)], boxes)
+    with pytest.raises(ValueError, match=r"(of one size|of shape|of images), got|expected mask"):
+        augment(images, [instances[0], *[torch.ones(1, 5, 6, device=device)] * 3], boxes)
+
+
+def test_labels_of_a_list_have_one_type(device):
+    images = pictures(device, SMALL)
+    flip = A.AugmentationSequential(A.RandomHorizontalFlip(p=1.0), data_keys=["image", "bbox_xyxy"])
+    none, whole = torch.zeros(0, 4, device=device), torch.tensor([[2, 2, 9, 9]], device=device)
+    moved = flip(images, [none, none, whole, whole])[1]
+    assert moved[2].dtype == torch.int64 and moved[2].tolist() == [[11, 2, 18, 9]]
+    for key, labels in (
+        ("bbox_xyxy", [whole, whole, whole + 0.5, none]),
+        ("keypoints", [whole[:, :2], whole[:, :2], whole[:, :2] + 0.5, none[:, :2]]),
+        (
+            "mask",
+            [
+                torch.ones(1, *size, dtype=torch.uint8, device=device) * (1 if i < 2 else 1.0)
+                for i, size in enumerate(SMALL)
+            ],
+        ),
+    ):
+        with pytest.raises(TypeError, match=f"expected {key} of one type, got torch.* and, at 2, torch.float32"):
+            flip(images, labels, data_keys=["image", key])
+    with pytest.raises(TypeError, match="got a tuple of 4 images; stack them, .* or pass a list"):
+        flip(tuple(images), data_keys=["image"])
+
+
 def assert_same(a, b):
     assert torch.equal(a, b) if isinstance(a, Tensor) else a == b
 

@@ -144,7 +144,7 @@ def check_matrix(module: Any, matrix: Tensor, x: Tensor) -> None:
     """Raise unless the matrices of a pair are those of a batch of images or volumes, or one for all."""
     batch, n, op = x.shape[0], x.dim() - 1, type(module).__name__
     if matrix.shape not in ((n, n), (batch, n, n)):
-        advice = "" if matrix.shape[-2:] == (n, n) else "; stack images"
+        advice = "" if matrix.shape[-2:] == (n, n) else "; stack images, or pass them as a list"
         raise ShapeError(
             f"{op}: expected a pair to be images and their matrices of shape ({batch}, {n}, {n}) or ({n}, {n}), got "
             f"{tuple(matrix.shape)}{advice}"

@@ -329,20 +329,51 @@ def filter_labels(classes: Any, kept: Any) -> Any:
     raise _wrong_count(f"shape {shape}", str(tuple(classes.shape)))
 
 
-def filter_masks(masks: Any, kept: Any) -> Any:
+class MaskCounts(NamedTuple):
+    """How many masks and how many boxes each image of a call has, before any are removed."""
+
+    masks: list[int]
+    boxes: list[int]
+
+
+def count_masks(keys: Sequence[DataKey], values: Sequence[Any]) -> dict[int, MaskCounts]:
+    """The counts of each input of masks (N, H, W) in a list; none where masks are no such list, or without boxes."""
+    known: dict[int, MaskCounts] = {}
+    for i, (key, masks) in enumerate(zip(keys, values)):
+        at = boxes_of(i, [j for j, other in enumerate(keys) if other in BOX_FORMATS])
+        if key == DataKey.MASK and isinstance(masks, (list, tuple)) and at is not None:
+            if all(isinstance(part, Tensor) and part.dim() > 2 for part in masks):
+                known[i] = MaskCounts([len(part) for part in masks], _counts_of_boxes(values[at], keys[at]))
+    return known
+
+
+def boxes_of(i: int, of_boxes: Sequence[int]) -> int | None:
+    """The number of the input of boxes that an input of classes or masks belongs to; None if there are none."""
+    before = [at for at in of_boxes if at < i]
+    return before[-1] if before else min(of_boxes, default=None)
+
+
+def _counts_of_boxes(boxes: Any, key: DataKey) -> list[int]:
+    if isinstance(boxes, (list, tuple)):
+        return [len(part) for part in boxes]
+    shape = tuple((boxes if isinstance(boxes, Tensor) else boxes._data).shape)  # or kvision.geometry.boxes.Boxes
+    *batch, count = shape[: -2 if key == DataKey.BBOX or not isinstance(boxes, Tensor) else -1]
+    return [count] * (batch[0] if batch else 1)
+
+
+def filter_masks(masks: Any, kept: Any, counts: MaskCounts | None) -> Any:
     """The masks (N, H, W) of instances whose boxes stay, in a list of those of each image.
 
-    Masks of images stay: those of as many channels in all images, which are not those of the boxes.
+    Masks of images stay: those of as many channels in all images of the call, which are not those of the boxes.
     """
-    if not isinstance(masks, (list, tuple)) or not masks:
+    if counts is None:
         return masks
     rows = [kept] if isinstance(kept, Tensor) and kept.dim() == 1 else list(kept)
-    counts, boxes = [len(part) for part in masks], [len(row) for row in rows]
-    if counts == boxes:
+    if counts.masks == counts.boxes and [len(part) for part in masks] == [len(row) for row in rows]:
         return type(masks)(_filtered_labels(part, row) for part, row in zip(masks, rows))
-    if len(set(counts)) > 1:
+    if counts.masks != counts.boxes and len(set(counts.masks)) > 1:
         raise ShapeError(
-            f"AugmentationSequential: expected masks of {boxes} instances, as there are boxes, got {counts}"
+            f"AugmentationSequential: expected masks of {counts.boxes} instances, as there are boxes, got {counts.masks}"
         )
     return masks
 
@@ -430,10 +461,32 @@ def pad(parts: Sequence[Tensor]) -> tuple[Tensor, list[int]]:
     """Boxes, points or instances of each image, padded to the same number."""
     check_tensors("the labels of an image", parts)
     sizes = [len(part) for part in parts]
-    padded = parts[0].new_zeros(len(parts), max(sizes, default=0), *parts[0].shape[1:])
+    shapes = {tuple(part.shape[1:]): None for part in parts if len(part)}
+    if len(shapes) > 1:
+        first, other, *_ = shapes
+        raise ShapeError(
+            f"AugmentationSequential: expected labels of images of one size, got (N, *{first}) and (N, *{other})"
+        )
+    like = next((part for part in parts if len(part)), parts[0])  # an empty one may have another type
+    padded = like.new_zeros(len(parts), max(sizes, default=0), *parts[0].shape[1:])
     for row, part in zip(padded, parts):
         row[: len(part)] = part
     return padded, sizes
+
+
+def check_one_type(key: DataKey, value: Any) -> None:
+    """Raise TypeCheckError where masks, boxes or points of a list have several types, those of no elements aside."""
+    if isinstance(value, (list, tuple)) and (key == DataKey.MASK or key == DataKey.KEYPOINTS or key in BOX_FORMATS):
+        types = {
+            part.dtype: i for i, part in reversed(list(enumerate(value))) if isinstance(part, Tensor) and len(part)
+        }
+        if len(types) > 1:
+            (first, _), (other, at) = sorted(types.items(), key=lambda item: item[1])[:2]
+            name = key.name.lower()
+            raise TypeCheckError(
+                f"AugmentationSequential: expected {name} of one type, got {first} and, at {at}, {other}",
+                actual_type=other,
+            )
 
 
 def check_tensors(name: str, parts: Sequence[Any]) -> None:

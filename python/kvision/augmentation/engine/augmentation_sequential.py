@@ -257,6 +257,7 @@ class AugmentationSequential(ImageSequential):
         for i, (key, value) in enumerate(zip(keys, values)):
             is_image = key == DataKey.INPUT
             values[i] = image_of(self, value) if is_image else label_of(key, value, like, self._keeps_axes())
+            labels.check_one_type(key, values[i])
         return before
 
     def _sample(self, args: Sequence[Any], data_keys: DataKeys | None) -> Entries | Sample | None:
@@ -283,26 +284,36 @@ class AugmentationSequential(ImageSequential):
             raise ValueCheckError(f"{_OP}: expected {len(keys)} inputs for {names}, got {len(args)}")
         return keys
 
-    def _call_part(
-        self, keys: Sequence[DataKey], inputs: list[Any], params: Any, seed: Seed, generator: Generator | None
-    ) -> tuple[list[Any], Record]:
-        return self._call(list(keys), inputs, params, seed, generator, None)
+    def _call_of_parts(self, keys: Sequence[DataKey], inputs: Sequence[Any]) -> Callable[..., Any]:
+        masks = labels.count_masks(keys, inputs)
+
+        def call(own: list[Any], params: Any, seed: Seed, generator: Generator | None) -> tuple[list[Any], Record]:
+            return self._call(list(keys), own, params, seed, generator, None, masks=masks)
+
+        return call
 
     def _with_labels_of_list(self, keys: Sequence[DataKey], inputs: Sequence[Any], y: Any, parts: Any) -> list[Any]:
         if len(keys) == 1:
             return [y]
-        settings, calls = self._label_settings, zip(parts.calls, parts.rows)
-        each = [self._with_labels(keys, parts.inputs(rows, keys, inputs), call, settings) for call, rows in calls]
+        settings, masks = self._label_settings, labels.count_masks(keys, inputs)
+        each = [
+            self._with_labels(keys, parts.inputs(rows, keys, inputs), call, settings, masks)
+            for call, rows in zip(parts.calls, parts.rows)
+        ]
         outputs = parts.outputs(keys, inputs, each)
         outputs[keys.index(DataKey.INPUT)] = y
         return outputs
 
     @staticmethod
     def _with_labels(
-        keys: Sequence[DataKey], inputs: Sequence[Any], record: Record, settings: LabelSettings
+        keys: Sequence[DataKey],
+        inputs: Sequence[Any],
+        record: Record,
+        settings: LabelSettings,
+        masks: dict[int, labels.MaskCounts] | None,
     ) -> list[Any]:
         """What belongs to the images of a call, moved, and the images as they are."""
-        record.labels = LabelRecord(settings, record.shape, record.size)
+        record.labels = LabelRecord(settings, record.shape, record.size, masks)
         outputs = record.labels.move(keys, inputs, record.stages)
         record.stages.forget()
         return outputs
@@ -316,12 +327,13 @@ class AugmentationSequential(ImageSequential):
         generator: Generator | None,
         before: Tensor | None,
         source: Frames | None = None,
+        masks: dict[int, labels.MaskCounts] | None = None,
     ) -> tuple[list[Any], Record]:
         """The results of a call, and its record."""
         if DataKey.INPUT not in keys:
             if self._record.shape is None and params is None:
                 raise ValueCheckError(f"{_OP}: expected one of data_keys to be 'input'")
-            return self._move_alone(keys, inputs, params)
+            return self._move_alone(keys, inputs, params, masks)
         if self.transformation_matrix_mode == "rigid":
             _check_rigid(self)
         first = keys.index(DataKey.INPUT)
@@ -342,7 +354,7 @@ class AugmentationSequential(ImageSequential):
             outputs = [y]
             record.stages.forget()
         else:
-            outputs = self._with_labels(keys, inputs, record, settings)
+            outputs = self._with_labels(keys, inputs, record, settings, masks)
         for i, (key, value) in enumerate(zip(keys, inputs)):
             if key == DataKey.INPUT and i != first:  # a second image gets the same
                 context = self._context(None, None, time)
@@ -351,17 +363,19 @@ class AugmentationSequential(ImageSequential):
         outputs[first] = self._restored(y, image)
         return as_videos(videos, outputs, restore), record
 
-    def _move_alone(self, keys: list[DataKey], inputs: list[Any], params: Any) -> tuple[list[Any], Record]:
+    def _move_alone(
+        self, keys: list[DataKey], inputs: list[Any], params: Any, masks: dict[int, labels.MaskCounts] | None = None
+    ) -> tuple[list[Any], Record]:
         """Labels without their images, moved by the last call or by given parameters."""
         parts = self._parts_of(params)
         if parts is not None:
-            views = zip(parts.views(self), parts.rows)
-            each = [view._move_alone(keys, parts.inputs(rows, keys, inputs), None) for view, rows in views]
+            views, masks = zip(parts.views(self), parts.rows), labels.count_masks(keys, inputs)
+            each = [view._move_alone(keys, parts.inputs(rows, keys, inputs), None, masks) for view, rows in views]
             moved = Parts(parts.op, parts.rows, [record for _, record in each])
             return parts.outputs(keys, inputs, [outputs for outputs, _ in each]), Record(parts=moved)
         last, record = self._record, self._record_of(_no_image(), params).replaced()
         inputs, restore = as_frames(last.videos, keys, inputs)
-        outputs = self._with_labels(keys, inputs, record, self._label_settings)
+        outputs = self._with_labels(keys, inputs, record, self._label_settings, masks)
         return as_videos(last.videos, outputs, restore), last.replaced(labels=record.labels)
 
     @property

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import copy
-import functools
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, get_args
 
 import torch
@@ -382,7 +381,7 @@ class ImageSequential(ImageSequentialBase):
         of_passes = self._call_list_by_passes(keys, inputs, params, seed, generator)
         if of_passes is not None:
             return of_passes
-        call = functools.partial(self._call_part, keys)
+        call = self._call_of_parts(keys, inputs)
         outputs, parts = call_in_parts(list(self.modules()), keys, inputs, params, seed, generator, call)
         return outputs, Record(parts=parts)
 
@@ -434,13 +433,15 @@ class ImageSequential(ImageSequentialBase):
         """What the inputs of a call on a list become, whose images became y."""
         return [y]
 
-    def _call_part(
-        self, keys: Sequence[DataKey], inputs: list[Any], params: Any, seed: Seed, generator: Generator | None
-    ) -> tuple[list[Any], Record]:
-        """The results of a call on a batch, and its record."""
-        y, record = self._execute(inputs[0], params, self._context(seed, generator))
-        record.stages.forget()
-        return [y], record
+    def _call_of_parts(self, keys: Sequence[DataKey], inputs: Sequence[Any]) -> Callable[..., Any]:
+        """What gives the results of a call on some images of a list as a batch, and its record, for their inputs."""
+
+        def call(own: list[Any], params: Any, seed: Seed, generator: Generator | None) -> tuple[list[Any], Record]:
+            y, record = self._execute(own[0], params, self._context(seed, generator))
+            record.stages.forget()
+            return [y], record
+
+        return call
 
     def _parts_of(self, params: Sequence[ParamItem] | None, outputs: Any = None) -> Parts | None:
         """The parts of the last call, or of given parameters, if it was one on a list; None of others."""

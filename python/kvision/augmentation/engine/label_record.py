@@ -26,10 +26,13 @@ class LabelRecord:
         settings: those of the container.
         shape: of the images of the call, (B, C, H, W); None where it is not known.
         size: of its results.
+        masks: how many masks and boxes there are of all images, where this is about some of a list; default: of its own.
     """
 
-    def __init__(self, settings: LabelSettings, shape: Size | None, size: Size) -> None:
-        self.settings, self.shape, self.size = settings, shape, size
+    def __init__(
+        self, settings: LabelSettings, shape: Size | None, size: Size, masks: dict[int, labels.MaskCounts] | None = None
+    ) -> None:
+        self.settings, self.shape, self.size, self._masks = settings, shape, size, masks
         self.kept_boxes: list[Any] = []
         # Of each input of key points and each part of the call that moved them: the moved ones, their moves, and which of them
         # are visible if the moves have told.
@@ -40,6 +43,8 @@ class LabelRecord:
     def move(self, keys: Sequence[DataKey], values: Sequence[Any], stages: Chain) -> list[Any]:
         """What belongs to images, after all stages; the images as they are."""
         moved, has_others = list(values), False
+        if self._masks is None:
+            self._masks = labels.count_masks(keys, values)
         for i, key in enumerate(keys):
             if key == DataKey.MASK:
                 moved[i] = moved_masks(moved[i], stages, self.settings.masks, self.shape)
@@ -113,10 +118,12 @@ class LabelRecord:
         """Leave the class labels and masks of boxes that are kept."""
         for i, key in enumerate(keys):
             if key in (DataKey.CLASS, DataKey.MASK):
-                before = [at for at in kept if at < i]
-                of_boxes = kept[before[-1] if before else min(kept)]
-                filtered = labels.filter_labels if key == DataKey.CLASS else labels.filter_masks
-                values[i] = filtered(values[i], of_boxes)
+                at = labels.boxes_of(i, list(kept))
+                assert at is not None and self._masks is not None
+                if key == DataKey.CLASS:
+                    values[i] = labels.filter_labels(values[i], kept[at])
+                else:
+                    values[i] = labels.filter_masks(values[i], kept[at], self._masks.get(i))
 
     def _leave(self, keys: Sequence[DataKey], values: list[Any], kept: Kept) -> None:
         """Leave the boxes that are kept, with their class labels and masks."""

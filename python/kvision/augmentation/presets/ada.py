@@ -15,6 +15,7 @@ from kvision.augmentation.columns import draw_columns
 from kvision.augmentation.draws import Request, uniform
 from kvision.augmentation.engine import AugmentationSequential, ParamItem, Record
 from kvision.augmentation.keys import Seed, draw_keys
+from kvision.augmentation.labels import MaskCounts
 from kvision.augmentation.samples import where_chosen
 from kvision.color.frames import Frames
 from kvision.constants import DataKey, DataKeys
@@ -158,6 +159,7 @@ class AdaptiveDiscriminatorAugmentation(AugmentationSequential):
         generator: Generator | None,
         before: Tensor | None,
         source: Frames | None = None,
+        masks: dict[int, MaskCounts] | None = None,
     ) -> tuple[list[Any], Record]:
         op = type(self).__name__
         if source is not None:  # the images of samples that are not augmented are results
@@ -174,7 +176,7 @@ class AdaptiveDiscriminatorAugmentation(AugmentationSequential):
             request, position = Request([uniform(0.0, 1.0)]), _CHOICE if own.has_seed else 0
             (columns,) = draw_columns(torch.empty(images.shape[0], device="cpu"), own, [request], position)
             chosen = columns.values[:, 0] < self.p
-        outputs, record = super()._call(keys, inputs, params, seed, generator, before)
+        outputs, record = super()._call(keys, inputs, params, seed, generator, before, masks=masks)
         record.chosen = chosen
         return [_where(chosen, new, old) for new, old in zip(outputs, inputs)], record
 

@@ -488,15 +488,18 @@ inline int multiprocessors() {
 template <int P = 4>
 struct Strips {
   unsigned across, down, count, rows;
-  Strips(int64_t planes, int64_t height, int64_t width, int rows)
+  KV_HD Strips(int64_t planes, int64_t height, int64_t width, int rows)
       : across(unsigned(ceil_div(width, 32 * P))),
-        down(unsigned(ceil_div(height, rows))),
+        down(unsigned(ceil_div(int(height), rows))),
         count(unsigned(planes * across * down)),
         rows(rows) {}
-  unsigned blocks(unsigned warps = 8) const { return (count + warps - 1) / warps; }
+  KV_HD unsigned blocks(unsigned warps = 8) const { return (count + warps - 1) / warps; }
   // The plane of the warp's strip, the first column of the thread, the first row. False after the last strip.
   __device__ __forceinline__ bool locate(int64_t& plane, int& x, int& y) const {
-    unsigned const warp = blockIdx.x * (blockDim.x / 32) + threadIdx.x / 32;
+    return locate(blockIdx.x, plane, x, y);
+  }
+  __device__ __forceinline__ bool locate(unsigned block, int64_t& plane, int& x, int& y) const {
+    unsigned const warp = block * (blockDim.x / 32) + threadIdx.x / 32;
     if (warp >= count) return false;
     unsigned const q = warp / across, p = q / down;
     x = int(warp - q * across) * 32 * P + (threadIdx.x % 32) * P;

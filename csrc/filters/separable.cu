@@ -33,17 +33,17 @@ __device__ __forceinline__ F* shared_memory() {
 // A ring in shared memory holds the rows within `reach` of the one computed, filtered along x: the row of a position is
 // at the position modulo the ring's size.
 template <class T>
-__global__ void separable_any(Separable<T> const p, int rows, int reach) {
+__device__ __forceinline__ void filter_any(Separable<T> const& p, unsigned block, int rows, int reach) {
   using F = Compute<T>;
   F *const kx = shared_memory<F>(), *const ky = kx + p.kx.size, *const ring = ky + p.ky.size;
   int const width = int(p.y.width), height = int(p.y.height), in_width = int(p.x.width), in_height = int(p.x.height);
   int64_t const step = p.y.step, across = (p.y.row_size() + blockDim.x - 1) / blockDim.x;
-  int64_t const down = (height + rows - 1) / rows, tile_row = blockIdx.x / across, plane = tile_row / down;
+  int64_t const down = (height + rows - 1) / rows, tile_row = block / across, plane = tile_row / down;
   int const y0 = int(tile_row - plane * down) * rows, y1 = min(y0 + rows, height);
   load_weights(p.kx, plane / p.planes, F(1), kx);
   load_weights(p.ky, plane / p.planes, p.alpha, ky);
 
-  int64_t const e = (blockIdx.x - tile_row * across) * blockDim.x + threadIdx.x;
+  int64_t const e = (block - tile_row * across) * blockDim.x + threadIdx.x;
   if (e >= p.y.row_size()) return;
   int const column = int(e / step);
   int64_t const channel = e - column * step;
@@ -93,19 +93,55 @@ __global__ void separable_any(Separable<T> const p, int rows, int reach) {
 }
 
 template <class T>
+__global__ void separable_any(Separable<T> const p, int rows, int reach) {
+  filter_any(p, blockIdx.x, rows, reach);
+}
+template <class T>
+__global__ void separable_any_of_list(__grid_constant__ SeparableList<T> const list, int rows, int reach) {
+  unsigned block;
+  Separable<T> const* const p = sample_of_block(list, block);
+  if (!p) return;
+  filter_any(*p, block, rows, reach);
+}
+
+// How blocks go down the columns of images: their reach, threads and shared memory.
+template <class T>
+struct AnyBlocks {
+  int reach, threads, bytes;
+
+  explicit AnyBlocks(Separable<T> const& p)
+      : reach(max(p.ky.before, p.ky.size - 1 - p.ky.before)), threads(kThreads), bytes(bytes_of(p)) {
+    while (threads > 8 && bytes > max_shared_bytes(kMaxSharedBytes)) threads /= 2, bytes = bytes_of(p);
+  }
+  int bytes_of(Separable<T> const& p) const {
+    return int(sizeof(Compute<T>)) * (p.kx.size + p.ky.size + (2 * reach + 1) * threads);
+  }
+  int64_t columns(Separable<T> const& p) const { return p.y.count() * ceil_div(p.y.row_size(), threads); }
+};
+
+template <class T>
 int launch_any(Separable<T> const& p, CUstream_st* stream) {
-  using F = Compute<T>;
-  int const reach = max(p.ky.before, p.ky.size - 1 - p.ky.before);
-  auto const bytes = [&](int threads) { return sizeof(F) * (p.kx.size + p.ky.size + (2 * reach + 1) * threads); };
-  int threads = kThreads;
-  while (threads > 8 && int64_t(bytes(threads)) > max_shared_bytes(kMaxSharedBytes)) threads /= 2;
-  if (int error = cudaFuncSetAttribute(separable_any<T>, cudaFuncAttributeMaxDynamicSharedMemorySize, bytes(threads)))
+  AnyBlocks<T> const plan(p);
+  if (int error = cudaFuncSetAttribute(separable_any<T>, cudaFuncAttributeMaxDynamicSharedMemorySize, plan.bytes))
     return error;
-  int64_t const tile_columns = p.y.count() * ceil_div(p.y.row_size(), threads);
-  int const rows = strip_height(tile_columns, p.y.height, max(p.ky.size, 8), 1024, 1024);
-  int64_t const blocks = tile_columns * ceil_div(p.y.height, rows);
-  separable_any<<<unsigned(blocks), threads, bytes(threads), stream>>>(p, rows, reach);
+  int const rows = strip_height(plan.columns(p), p.y.height, max(p.ky.size, 8), 1024, 1024);
+  int64_t const blocks = plan.columns(p) * ceil_div(p.y.height, rows);
+  separable_any<<<unsigned(blocks), plan.threads, plan.bytes, stream>>>(p, rows, plan.reach);
   return cudaGetLastError();
+}
+template <class T>
+int launch_any(SeparableList<T> const& p, CUstream_st* stream) {
+  AnyBlocks<T> const plan(p.all);
+  if (int error =
+          cudaFuncSetAttribute(separable_any_of_list<T>, cudaFuncAttributeMaxDynamicSharedMemorySize, plan.bytes))
+    return error;
+  auto const columns_of = [&](Separable<T> const& one) { return plan.columns(one); };
+  int const rows = strip_height(sum_of_samples(p, columns_of), largest_height(p), max(p.all.ky.size, 8), 1024, 1024);
+  return launch_list(
+      p, [&](Separable<T> const& one) { return plan.columns(one) * ceil_div(one.y.height, rows); },
+      [&](SeparableList<T> const& list, unsigned blocks) {
+        separable_any_of_list<T><<<blocks, plan.threads, plan.bytes, stream>>>(list, rows, plan.reach);
+      });
 }
 
 // --- planar images and windows of any size: a block goes down 128 columns of pixels ----------------------------------
@@ -148,17 +184,16 @@ struct TileMemory {
 
 // reflect_backward: the transpose of a reflected border, as in separable_strip.cuh: border pixels count doubled.
 template <class T>
-__global__ void __launch_bounds__(kTileThreads, 2)
-    separable_tiles(__grid_constant__ Separable<T> const p, TileMemory memory, int rows, bool reflect_backward,
-                    bool aligned) {
+__device__ __forceinline__ void filter_tiles(Separable<T> const& p, unsigned block, TileMemory const& memory, int rows,
+                                             bool reflect_backward, bool aligned) {
   float *const filtered = shared_memory<float>(), *const pixels = filtered + memory.rows * kPitch;
   float *const kx = pixels + 32 * memory.pitch, *const ky = kx + memory.kx;
   int* const columns = reinterpret_cast<int*>(ky + memory.ky);
   int const width = int(p.y.width), height = int(p.y.height), in_width = int(p.x.width), in_height = int(p.x.height);
   int const lane = threadIdx.x % 32, warp = threadIdx.x / 32;
   unsigned const across = unsigned(width + kTileWidth - 1) / kTileWidth, down = unsigned(height + rows - 1) / rows;
-  unsigned const tile_row = blockIdx.x / across, plane = tile_row / down;
-  int const x0 = int(blockIdx.x - tile_row * across) * kTileWidth, y0 = int(tile_row - plane * down) * rows;
+  unsigned const tile_row = block / across, plane = tile_row / down;
+  int const x0 = int(block - tile_row * across) * kTileWidth, y0 = int(tile_row - plane * down) * rows;
   int const y1 = min(y0 + rows, height), overlap = memory.ky - 1;
   for (int i = threadIdx.x; i < memory.across; i += kTileThreads)
     columns[i] =
@@ -239,10 +274,46 @@ __global__ void __launch_bounds__(kTileThreads, 2)
 }
 
 template <class T>
+__global__ void __launch_bounds__(kTileThreads, 2)
+    separable_tiles(__grid_constant__ Separable<T> const p, TileMemory memory, int rows, bool reflect_backward,
+                    bool aligned) {
+  filter_tiles(p, blockIdx.x, memory, rows, reflect_backward, aligned);
+}
+template <class T>
+__global__ void __launch_bounds__(kTileThreads, 2)
+    separable_tiles_of_list(__grid_constant__ SeparableList<T> const list, TileMemory memory, int rows,
+                            bool reflect_backward) {
+  unsigned block;
+  Separable<T> const* const p = sample_of_block(list, block);
+  if (!p) return;
+  filter_tiles(*p, block, memory, rows, reflect_backward, false);
+}
+
+int resident_blocks_of_tiles(int bytes) {
+  return multiprocessors() * (bytes > max_shared_bytes(kMaxSharedBytes) / 2 ? 1 : 2);
+}
+
+template <class T>
+int launch_tiles(SeparableList<T> p, bool reflect_backward, CUstream_st* stream) {
+  TileMemory const memory(p.all.kx, p.all.ky);
+  int const bytes = 4 * memory.numbers(), resident = resident_blocks_of_tiles(bytes);
+  if (int error = cudaFuncSetAttribute(separable_tiles_of_list<T>, cudaFuncAttributeMaxDynamicSharedMemorySize, bytes))
+    return error;
+  if (reflect_backward) p.all.border = Border::reflect;
+  auto const columns_of = [](Separable<T> const& one) { return one.y.count() * ceil_div(one.y.width, kTileWidth); };
+  int const rows = strip_height(sum_of_samples(p, columns_of), largest_height(p), max(p.all.ky.size, 8), resident,
+                                resident);
+  return launch_list(
+      p, [&](Separable<T> const& one) { return columns_of(one) * ceil_div(one.y.height, rows); },
+      [&](SeparableList<T> const& list, unsigned blocks) {
+        separable_tiles_of_list<T><<<blocks, kTileThreads, bytes, stream>>>(list, memory, rows, reflect_backward);
+      });
+}
+
+template <class T>
 int launch_tiles(Separable<T> p, bool reflect_backward, CUstream_st* stream) {
   TileMemory const memory(p.kx, p.ky);
-  int const bytes = 4 * memory.numbers(),
-            resident = multiprocessors() * (bytes > max_shared_bytes(kMaxSharedBytes) / 2 ? 1 : 2);
+  int const bytes = 4 * memory.numbers(), resident = resident_blocks_of_tiles(bytes);
   if (int error = cudaFuncSetAttribute(separable_tiles<T>, cudaFuncAttributeMaxDynamicSharedMemorySize, bytes))
     return error;
   if (reflect_backward) p.border = Border::reflect;
@@ -338,6 +409,26 @@ int separable(Separable<T> const& p, CUstream_st* stream) {
   return launch_any(p, stream);
 }
 
+// Transposes of borders that are accumulated have no strips, but those of reflected borders.
+template <class T>
+int separable_list(SeparableList<T> const& p, CUstream_st* stream) {
+  if constexpr (!__is_same(T, double)) {
+    Separable<T> const& all = p.all;
+    bool const reflect_backward =
+        all.accumulation == Border::reflect && all.kx.gaussian && all.ky.gaussian && sizeof(T) > 1;
+    if (all.accumulation == Border::constant || reflect_backward) {
+      if (all_samples(p, [](Separable<T> const& one) { return supports_strips(one.x, one.ky.size, one.kx.size); })) {
+        if constexpr (sizeof(T) > 1)
+          if (reflect_backward) return separable_reflect_backward_strips(p, 1, stream);
+        return separable_strips(p, 1, stream);
+      }
+      if (!p.list.interleaved && 4 * TileMemory(all.kx, all.ky).numbers() <= max_shared_bytes(kMaxSharedBytes))
+        return launch_tiles(p, reflect_backward, stream);
+    }
+  }
+  return launch_any(p, stream);
+}
+
 template <class T>
 int separable_weights_backward(SeparableWeightsBackward<T> const& p, CUstream_st* stream) {
   using F = Compute<T>;
@@ -352,6 +443,7 @@ int separable_weights_backward(SeparableWeightsBackward<T> const& p, CUstream_st
 }
 
 KV_INSTANTIATE_WITH_BYTES(separable, Separable)
+KV_INSTANTIATE_WITH_BYTES(separable_list, SeparableList)
 KV_INSTANTIATE(separable_weights_backward, SeparableWeightsBackward)
 
 }  // namespace kv::filters::cuda

@@ -17,6 +17,7 @@
 #pragma once
 
 #include "core/border.h"
+#include "core/filter_list.h"
 #include "core/isa.h"
 #include "core/view.h"
 
@@ -34,6 +35,9 @@ struct Taps {
   bool gaussian;
   bool reversed;
 
+  KV_HD void select(int64_t sample) {
+    if (data) data += sample * stride;
+  }
   // How many pixels before and after the image the pass reads whose transpose this is.
   KV_HD int front() const { return size - 1 - before; }
   KV_HD int back() const { return before; }
@@ -78,7 +82,12 @@ struct Separable {
   Compute<T> alpha, beta;
   Border border;        // of x
   Border accumulation;  // of the border, into the result, by transposes: replicate, reflect, or constant for none
+
+  KV_HD void select(int64_t sample) { kx.select(sample), ky.select(sample); }
 };
+
+template <class T>
+struct SeparableList : FilterList<Separable<T>, T> {};
 
 constexpr int kWeightsTileWidth = 128;  // of separable_weights_backward on CUDA
 
@@ -104,6 +113,7 @@ struct SeparableWeightsBackward {
 };
 
 KV_KERNEL(separable, Separable)
+KV_KERNEL(separable_list, SeparableList)
 KV_KERNEL(separable_weights_backward, SeparableWeightsBackward)
 
 }  // namespace kv::filters

@@ -198,6 +198,12 @@ void separable(Separable<T> const& p, int64_t begin, int64_t end) {
 }
 
 template <class T>
+void separable_list(SeparableList<T> const& p, int64_t begin, int64_t end) {
+  filter_items(p, begin, end,
+               [](Separable<T> const& one, int64_t first, int64_t last) { KV_ISA::separable(one, first, last); });
+}
+
+template <class T>
 void separable_weights_backward(SeparableWeightsBackward<T> const& p, int64_t begin, int64_t end) {
   using F = Compute<T>;
   int const taps_x = p.kx.size, taps_y = p.ky.size;
@@ -265,6 +271,7 @@ void separable_weights_backward(SeparableWeightsBackward<T> const& p, int64_t be
 }
 
 KV_INSTANTIATE_WITH_BYTES(separable, Separable)
+KV_INSTANTIATE_WITH_BYTES(separable_list, SeparableList)
 KV_INSTANTIATE(separable_weights_backward, SeparableWeightsBackward)
 
 }  // namespace kv::filters::KV_ISA

@@ -45,31 +45,52 @@ inline int64_t planes_of_sample(Tensor const& x, Layout layout) {
   return layout == Layout::channels_last ? 1 : x.size(1);
 }
 
+// The filter without images; `planes` are those of a sample.
+template <class T>
+Separable<T> separable_of(AxisWeights const& kx, AxisWeights const& ky, Border border, bool same, bool transposed,
+                          int64_t planes, double alpha = 1, double beta = 0) {
+  using F = Compute<T>;
+  bool const accumulates = same && transposed && (border == Border::reflect || border == Border::replicate);
+  return {{},
+          {},
+          kx.template taps<F>(same, transposed),
+          ky.template taps<F>(same, transposed),
+          planes,
+          F(alpha),
+          F(beta),
+          same && !accumulates ? border : Border::constant,
+          accumulates ? border : Border::constant};
+}
+
+#if defined(KV_CUDA)
+inline void check_taps(char const* op, int64_t ky, int64_t kx) {
+  KV_CHECK(ky <= kMaxTaps && kx <= kMaxTaps, op, ": expected a kernel of at most ", kMaxTaps,
+           " weights a side on CUDA, got (", ky, ", ", kx, ")");
+}
+#endif
+
+// Sigmas of a Gaussian, (B or 1, 2), of images `x`.
+inline void check_sigma(char const* op, std::optional<Tensor> const& sigma, Tensor const& x) {
+  if (!sigma) return;
+  check_sample_weights(op, *sigma, x);
+  KV_CHECK(sigma->size(1) == 2, op, ": expected sigma of shape (B or 1, 2)");
+}
+
 // Runs over the rows of `x`, whose memory format is `layout`, and writes those of `y`.
 inline void separable_into(char const* op, Tensor const& x, Tensor const& y, Layout layout, AxisWeights const& kx,
                            AxisWeights const& ky, Border border, bool same, bool transposed, double alpha,
                            double beta) {
 #if defined(KV_CUDA)
-  KV_CHECK(ky.size <= kMaxTaps && kx.size <= kMaxTaps, op, ": expected a kernel of at most ", kMaxTaps,
-           " weights a side on CUDA, got (", ky.size, ", ", kx.size, ")");
+  check_taps(op, ky.size, kx.size);
 #endif
   if (same) {
     check_border(op, border, ky.size / 2, y.size(2));
     check_border(op, border, kx.size / 2, y.size(3));
   }
-  bool const accumulates = same && transposed && (border == Border::reflect || border == Border::replicate);
   dispatch_floating_and_uint8(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
-    using F = Compute<T>;
-    Separable<T> const params{planes<T const>(x, layout),
-                              planes<T>(y, layout),
-                              kx.template taps<F>(same, transposed),
-                              ky.template taps<F>(same, transposed),
-                              planes_of_sample(x, layout),
-                              F(alpha),
-                              F(beta),
-                              same && !accumulates ? border : Border::constant,
-                              accumulates ? border : Border::constant};
+    Separable<T> params = separable_of<T>(kx, ky, border, same, transposed, planes_of_sample(x, layout), alpha, beta);
+    params.x = planes<T const>(x, layout), params.y = planes<T>(y, layout);
     KV_RUN(separable, x, params, params.y.rows(), params.y.row_size() * (kx.size + ky.size) / 4);
   });
 }
@@ -94,10 +115,7 @@ inline Tensor run_gaussian(char const* op, Tensor const& input, std::optional<Te
                            int64_t kx, double sigma_y, double sigma_x, int64_t border, bool transposed, double alpha,
                            double beta) {
   check_window(op, ky, kx);
-  if (sigma) {
-    check_sample_weights(op, *sigma, input);
-    KV_CHECK(sigma->size(1) == 2, op, ": expected sigma of shape (B or 1, 2)");
-  }
+  check_sigma(op, sigma, input);
   Tensor const* const tensor = sigma ? &*sigma : nullptr;  // of any strides
   return run_separable(op, input, {tensor, kx, true, 1, sigma_x}, {tensor, ky, true, 0, sigma_y}, to_border(op, border),
                        true, transposed, alpha, beta);

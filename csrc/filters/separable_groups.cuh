@@ -40,13 +40,12 @@ template <int K>
 constexpr int kGroupBlocks = K <= 5 ? 2 : 3;
 
 template <class T, int K, int P, int Bytes>
-__global__ void __launch_bounds__(kGroupThreads<K>, kGroupBlocks<K>)
-    separable_groups(__grid_constant__ Separable<T> const p,
-                     __grid_constant__ ColumnGroups<P, kGroupThreads<K>> const groups, float divisor) {
+__device__ __forceinline__ void filter_groups(Separable<T> const& p, ColumnGroups<P, kGroupThreads<K>> const& groups,
+                                              unsigned block, float divisor) {
   constexpr int R = K / 2;
   int64_t plane;
   int x, y0;
-  groups.locate(plane, x, y0);
+  groups.locate(block, plane, x, y0);
   using Rows = GroupRows<T, P, R, Bytes>;
   Rows const rows(p.x, plane, x, p.border);
   GroupStore<T, P, Bytes> out(p.y, plane, x, y0);
@@ -92,6 +91,24 @@ __global__ void __launch_bounds__(kGroupThreads<K>, kGroupBlocks<K>)
     }
 }
 
+template <class T, int K, int P, int Bytes>
+__global__ void __launch_bounds__(kGroupThreads<K>, kGroupBlocks<K>)
+    separable_groups(__grid_constant__ Separable<T> const p,
+                     __grid_constant__ ColumnGroups<P, kGroupThreads<K>> const groups, float divisor) {
+  filter_groups<T, K, P, Bytes>(p, groups, blockIdx.x, divisor);
+}
+
+template <class T, int K, int P>
+__global__ void __launch_bounds__(kGroupThreads<K>, kGroupBlocks<K>)
+    separable_groups_of_list(__grid_constant__ SeparableList<T> const list, int rows, float divisor) {
+  unsigned block;
+  Separable<T> const* const p = sample_of_block(list, block);
+  if (!p) return;
+  ColumnGroups<P, kGroupThreads<K>> const groups(p->x.count(), p->x.height, p->x.width, rows,
+                                                 GroupRows<T, P, K / 2>::kReach, kGroupThreads<K>);
+  filter_groups<T, K, P, 0>(*p, groups, block, divisor);
+}
+
 // Windows of `K` pixels and more: by groups where these serve images and window, or by strips.
 template <int K = 3, class T>
 int launch_strips_or_groups(Separable<T> const& p, float divisor, CUstream_st* stream) {
@@ -118,6 +135,36 @@ int launch_strips_or_groups(Separable<T> const& p, float divisor, CUstream_st* s
         if (p.border != Border::circular && bytes_of_rows<P>(p.x, p.y) == 0)
           return launch(std::integral_constant<int, 0>{});
       }
+    }
+  }
+  return launch_strip_of_size<T, false>(p, divisor, stream);
+}
+
+template <int K = 3, class T>
+int launch_strips_or_groups(SeparableList<T> const& p, float divisor, CUstream_st* stream) {
+  if constexpr (K <= kLargestOfGroups) {
+    if (p.all.kx.size != K) return launch_strips_or_groups<K + 2>(p, divisor, stream);
+  }
+  if constexpr (kHasGroups<T, K>) {
+    constexpr int P = kGroupPixels<T>, R = K / 2, kThreads = kGroupThreads<K>;
+    bool const centered = p.all.kx.before == R && p.all.ky.before == R;
+    if (centered && (sizeof(T) == 1 || p.all.border != Border::circular) &&
+        all_samples(p, [](Separable<T> const& one) { return supports_groups<P, R>(one.x); })) {
+      using Groups = ColumnGroups<P, kThreads>;
+      auto const groups_of = [](Separable<T> const& one, int rows) {
+        return Groups(one.x.count(), one.x.height, one.x.width, rows, GroupRows<T, P, R>::kReach, kThreads);
+      };
+      int const rows = Groups::busy_rows(kGroupRows<K>, [&](int rows) {
+        return sum_of_samples(p, [&](Separable<T> const& one) {
+          Groups const groups = groups_of(one, rows);
+          return int64_t(groups.groups) * groups.down;
+        });
+      });
+      return launch_list(
+          p, [&](Separable<T> const& one) { return groups_of(one, rows).blocks(); },
+          [&](SeparableList<T> const& list, unsigned blocks) {
+            separable_groups_of_list<T, K, P><<<blocks, kThreads, 0, stream>>>(list, rows, divisor);
+          });
     }
   }
   return launch_strip_of_size<T, false>(p, divisor, stream);

@@ -8,8 +8,16 @@ int separable_reflect_backward_strips(Separable<T> const& p, float divisor, CUst
   return launch_strip_of_size<T, true>(p, divisor, stream);
 }
 
+template <class T>
+int separable_reflect_backward_strips(SeparableList<T> const& p, float divisor, CUstream_st* stream) {
+  return launch_strip_of_size<T, true>(p, divisor, stream);
+}
+
 template int separable_reflect_backward_strips(Separable<float> const&, float, CUstream_st*);
 template int separable_reflect_backward_strips(Separable<Half> const&, float, CUstream_st*);
 template int separable_reflect_backward_strips(Separable<BFloat16> const&, float, CUstream_st*);
+template int separable_reflect_backward_strips(SeparableList<float> const&, float, CUstream_st*);
+template int separable_reflect_backward_strips(SeparableList<Half> const&, float, CUstream_st*);
+template int separable_reflect_backward_strips(SeparableList<BFloat16> const&, float, CUstream_st*);
 
 }  // namespace kv::filters::cuda

@@ -8,6 +8,7 @@
 // + weight * row.
 #pragma once
 
+#include "core/filter_list.cuh"
 #include "core/row_prefetcher.cuh"
 #include "separable.h"
 
@@ -24,6 +25,11 @@ template <class T>
 int separable_reflect_backward_strips(Separable<T> const& p, float divisor, CUstream_st* stream);
 template <class T>
 int separable_backward_strips(Separable<T> const& p, CUstream_st* stream);
+// The same of lists.
+template <class T>
+int separable_strips(SeparableList<T> const& p, float divisor, CUstream_st* stream);
+template <class T>
+int separable_reflect_backward_strips(SeparableList<T> const& p, float divisor, CUstream_st* stream);
 
 // Whether the strip kernels serve images and a window of this size.
 template <class T>
@@ -105,15 +111,14 @@ __device__ __forceinline__ void add_row(float const (&h)[P], W weight, float (&s
 // transpose of a reflected border with symmetric weights. It is D^-1 A D, where A is the forward pass and D doubles the
 // first and the last pixel of an axis; see BoxAxis in smoothing/box.h.
 template <class T, int K, int P, bool ReflectBackward, class Aligned>
-__global__ void __launch_bounds__(32 * kWarps, kResident<K, P>)
-    separable_strip(__grid_constant__ Separable<T> const p, __grid_constant__ Strips<P> const strips, float divisor,
-                    Aligned aligned) {
+__device__ __forceinline__ void filter_strip(Separable<T> const& p, Strips<P> const& strips, unsigned block,
+                                             float divisor, Aligned aligned) {
   constexpr int R = K / 2;
   __shared__ WarpMemory<T, K, P, ReflectBackward, Aligned> memory[kWarps];
   WarpMemory<T, K, P, ReflectBackward, Aligned>& shared = memory[threadIdx.x / 32];
   int64_t plane;
   int x, y0;
-  if (!strips.locate(plane, x, y0)) return;
+  if (!strips.locate(block, plane, x, y0)) return;
   int const lane = threadIdx.x % 32, x0 = x - P * lane;
   int const width = int(p.y.width), height = int(p.y.height), y1 = min(y0 + int(strips.rows), height);
 
@@ -213,11 +218,33 @@ __global__ void __launch_bounds__(32 * kWarps, kResident<K, P>)
   }
 }
 
-template <int K, int P, class T>
-int rows_per_strip(Planes<T> const& y, int64_t blocks_resident) {
+template <class T, int K, int P, bool ReflectBackward, class Aligned>
+__global__ void __launch_bounds__(32 * kWarps, kResident<K, P>)
+    separable_strip(__grid_constant__ Separable<T> const p, __grid_constant__ Strips<P> const strips, float divisor,
+                    Aligned aligned) {
+  filter_strip<T, K, P, ReflectBackward>(p, strips, blockIdx.x, divisor, aligned);
+}
+
+template <class T, int K, int P, bool ReflectBackward>
+__global__ void __launch_bounds__(32 * kWarps, kResident<K, P>)
+    separable_strip_of_list(__grid_constant__ SeparableList<T> const list, int rows, float divisor) {
+  unsigned block;
+  Separable<T> const* const p = sample_of_block(list, block);
+  if (!p) return;
+  Strips<P> const strips(p->y.count(), p->y.height, p->y.width, rows);
+  filter_strip<T, K, P, ReflectBackward>(*p, strips, block, divisor, std::false_type{});
+}
+
+// `columns`: strips side by side.
+template <int K, int P>
+int rows_per_strip(int64_t columns, int64_t height, int64_t blocks_resident) {
   if (K <= 7) return (K <= 5 ? 3 : 4) * P;  // limited by memory, which is faster where warps are close to each other
   int64_t const machine = multiprocessors(), resident = machine * blocks_resident * kWarps;
-  return strip_height(y.count() * ceil_div(y.width, 32 * P), y.height, K, resident, min(resident, machine * 10));
+  return strip_height(columns, height, K, resident, min(resident, machine * 10));
+}
+template <int K, int P, class T>
+int rows_per_strip(Planes<T> const& y, int64_t blocks_resident) {
+  return rows_per_strip<K, P>(y.count() * ceil_div(y.width, 32 * P), y.height, blocks_resident);
 }
 
 template <class T, int K, bool ReflectBackward>
@@ -236,10 +263,39 @@ int launch_strip(Separable<T> p, float divisor, CUstream_st* stream) {
   return cudaGetLastError();
 }
 
-template <class T, bool ReflectBackward, int K = 3>
-int launch_strip_of_size(Separable<T> const& p, float divisor, CUstream_st* stream) {
+template <class T, int K, bool ReflectBackward>
+int launch_strip(SeparableList<T> p, float divisor, CUstream_st* stream) {
+  constexpr int P = kStripPixels<T, K>;
+  if constexpr (ReflectBackward) {
+    p.all.border = p.all.accumulation = Border::reflect;
+  }
+  int64_t const columns =
+      sum_of_samples(p, [](Separable<T> const& one) { return one.y.count() * ceil_div(one.y.width, 32 * P); });
+  int const rows = rows_per_strip<K, P>(columns, largest_height(p), kResident<K, P>);
+  return launch_list(
+      p,
+      [&](Separable<T> const& one) {
+        return Strips<P>(one.y.count(), one.y.height, one.y.width, rows).blocks(kWarps);
+      },
+      [&](SeparableList<T> const& list, unsigned blocks) {
+        separable_strip_of_list<T, K, P, ReflectBackward><<<blocks, 32 * kWarps, 0, stream>>>(list, rows, divisor);
+      });
+}
+
+template <class T>
+int taps_along_x(Separable<T> const& p) {
+  return p.kx.size;
+}
+template <class T>
+int taps_along_x(SeparableList<T> const& p) {
+  return p.all.kx.size;
+}
+
+// Work: Separable<T> or SeparableList<T>.
+template <class T, bool ReflectBackward, int K = 3, class Work>
+int launch_strip_of_size(Work const& p, float divisor, CUstream_st* stream) {
   if constexpr (K < kLargest)
-    if (p.kx.size != K) return launch_strip_of_size<T, ReflectBackward, K + 2>(p, divisor, stream);
+    if (taps_along_x(p) != K) return launch_strip_of_size<T, ReflectBackward, K + 2>(p, divisor, stream);
   return launch_strip<T, K, ReflectBackward>(p, divisor, stream);
 }
 

@@ -30,6 +30,9 @@ PASSES = {
     "erasing": lambda: (A.RandomErasing(p=0.7), A.RandomHorizontalFlip(), A.CoarseDropout((1, 3), fill=0.5, p=0.9)),
     "lines": lambda: (A.GridMask(rotation_range=(-0.4, 0.4), p=0.7),),
     "units": lambda: (A.GridDropout(0.4, unit_size_range=(3, 9), p=0.7), A.GridDropout(p=0.7)),
+    "gaussian": lambda: (A.RandomGaussianBlur((3, 5), (0.3, 2.0), p=0.7), A.RandomGaussianBlur(5, (0.5, 2.0), "replicate")),
+    "box": lambda: (A.RandomBoxBlur(p=0.7), A.RandomBoxBlur((3, 2), "circular", p=1.0), A.RandomHorizontalFlip()),
+    "median": lambda: (A.RandomMedianBlur(p=0.7), A.RandomMedianBlur((5, 5)), A.RandomMedianBlur((2, 3), p=1.0)),
     "late crop": lambda: (A.RandomHorizontalFlip(), A.RandomResizedCrop((12, 14)), A.ColorJitter(0.2, 0.2)),
 }
 
@@ -141,7 +144,7 @@ def test_results_in_another_type(device):
     assert not is_by_passes(A.ImageSequential(augment))
 
 
-@pytest.mark.parametrize("name", ["flips", "affine", "everything", "erasing", "factors"])
+@pytest.mark.parametrize("name", ["flips", "affine", "everything", "erasing", "factors", "gaussian", "box", "median"])
 def test_as_many_launches_as_a_batch(name):
     """With contrast two more where the planes of some images begin between vectors: no cluster of blocks keeps these."""
     if not torch.cuda.is_available():

@@ -26,27 +26,36 @@ struct ColumnGroups {
   // Fewer rows where the images would not occupy the GPU. The groups before the last one of a row end `reach` pixels
   // before it: what they read on either side is in bounds, but for the first group.
   ColumnGroups(int64_t planes, int64_t height, int64_t width, int most_rows, int reach)
-      : across(unsigned(ceil_div(width, P))),
-        groups(unsigned(planes * across)),
-        threads(unsigned(min(ceil_div(int64_t(groups), 32) * 32, int64_t(Threads)))),
-        rows(most_rows),
-        last(int(width) - P),
-        before_last(int(width) - (width % P == 0 ? P : P + reach)) {
-    constexpr int kFewestRows = 8, kBusyThreads = 512;  // of a multiprocessor
-    while (rows >= 2 * kFewestRows &&
-           groups * ceil_div(height, int64_t(rows)) < int64_t(kBusyThreads) * multiprocessors())
-      rows /= 2;
-    down = unsigned(ceil_div(height, rows));
+      : ColumnGroups(planes, height, width,
+                     busy_rows(most_rows, [&](int rows) { return planes * ceil_div(width, P) * ceil_div(height, rows); }),
+                     reach, Threads) {
+    threads = unsigned(min(ceil_div(int64_t(groups), 32) * 32, int64_t(Threads)));
   }
-  unsigned blocks() const { return (groups + threads - 1) / threads * down; }
+  KV_HD ColumnGroups(int64_t planes, int64_t height, int64_t width, int rows, int reach, int threads)
+      : across(unsigned(ceil_div(width, P))),
+        down(unsigned(ceil_div(int(height), rows))),
+        groups(unsigned(planes * across)),
+        threads(unsigned(threads)),
+        rows(rows),
+        last(int(width) - P),
+        before_last(int(width) - (width % P == 0 ? P : P + reach)) {}
+  // The rows of a thread, of which threads_of(rows) threads are needed.
+  template <class ThreadsOf>
+  static int busy_rows(int rows, ThreadsOf threads_of) {
+    constexpr int kFewestRows = 8, kBusyThreads = 512;  // of a multiprocessor
+    while (rows >= 2 * kFewestRows && threads_of(rows) < int64_t(kBusyThreads) * multiprocessors()) rows /= 2;
+    return rows;
+  }
+  KV_HD unsigned blocks() const { return (groups + threads - 1) / threads * down; }
 
   // All threads have a group: those that are too many have the last one as well.
-  __device__ __forceinline__ void locate(int64_t& plane, int& x, int& y) const {
-    unsigned const q = blockIdx.x / down, group = min(q * threads + threadIdx.x, groups - 1), p = group / across;
+  __device__ __forceinline__ void locate(int64_t& plane, int& x, int& y) const { locate(blockIdx.x, plane, x, y); }
+  __device__ __forceinline__ void locate(unsigned block, int64_t& plane, int& x, int& y) const {
+    unsigned const q = block / down, group = min(q * threads + threadIdx.x, groups - 1), p = group / across;
     unsigned const at = group - p * across;
     plane = p;
     x = at + 1 == across ? last : min(int(at) * P, before_last);
-    y = int(blockIdx.x - q * down) * rows;
+    y = int(block - q * down) * rows;
   }
 };
 

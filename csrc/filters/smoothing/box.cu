@@ -28,6 +28,10 @@ struct Tiles {
   int64_t bytes() const {
     return (int64_t(kBatches) * kRows * kPitch + int64_t(depth) * kRows * width) * sizeof(F);
   }
+  template <class T>
+  KV_HD void set_counts(Box<T> const& p) {
+    across = int(ceil_div(p.x.width, width)), down = int(ceil_div(p.x.height, height));
+  }
 };
 
 // The tile of a block, the positions at which it sums windows, and those that they read. Where the transpose gathers,
@@ -40,10 +44,11 @@ struct BoxBlock {
   int left, right, top, bottom;           // what they read; `right` and `bottom` are behind it
   int origin, vector_left, vector_right;  // rows begin at `origin` in shared memory; the pixels read as vectors
 
-  __device__ __forceinline__ BoxBlock(BoxAxis const& across, BoxAxis const& down, Tiles const& tiles, bool vectorized) {
-    int const q = blockIdx.x / tiles.across, width = int(across.size), height = int(down.size);
+  __device__ __forceinline__ BoxBlock(unsigned block, BoxAxis const& across, BoxAxis const& down, Tiles const& tiles,
+                                      bool vectorized) {
+    int const q = block / tiles.across, width = int(across.size), height = int(down.size);
     plane = q / tiles.down;
-    x0 = (blockIdx.x - q * tiles.across) * tiles.width, y0 = (q - plane * tiles.down) * tiles.height;
+    x0 = (block - q * tiles.across) * tiles.width, y0 = (q - plane * tiles.down) * tiles.height;
     x1 = min(x0 + tiles.width, width), y1 = min(y0 + tiles.height, height);
     first_x = x0 == 0 && across.gathers() ? -int(across.after) : x0;
     last_x = x1 == width && across.gathers() ? width + int(across.before) : x1;
@@ -159,14 +164,14 @@ __device__ __forceinline__ void sum_column(Tiles const& tiles, int ky, F (&h)[kR
 }
 
 template <class T>
-__global__ void __launch_bounds__(256, sizeof(Compute<T>) == 8 ? 1 : 3)
-    box_tile(Box<T> p, BoxAxis across, BoxAxis down, Tiles tiles, bool vectorized) {
+__device__ __forceinline__ void sum_tile(Box<T> const& p, unsigned block_of_sample, BoxAxis const& across,
+                                         BoxAxis const& down, Tiles const& tiles, bool vectorized) {
   using F = Compute<T>;
   extern __shared__ __align__(16) unsigned char memory[];
   F* const rows = reinterpret_cast<F*>(memory);       // [batch][row][element]
   F* const tails = rows + kBatches * kRows * kPitch;  // [block][row][column]
   int const warp = threadIdx.x / 32, lane = threadIdx.x % 32;
-  BoxBlock<T> const block(across, down, tiles, vectorized);
+  BoxBlock<T> const block(block_of_sample, across, down, tiles, vectorized);
   int const width = int(across.size), height = int(down.size), step = int(p.x.step);
   int const kx = int(across.count()), ky = int(down.count()), top = block.top;
   T const* const in = p.x.plane(block.plane / step) + block.plane % step;
@@ -236,12 +241,28 @@ __global__ void __launch_bounds__(256, sizeof(Compute<T>) == 8 ? 1 : 3)
   }
 }
 
+template <class T>
+__global__ void __launch_bounds__(256, sizeof(Compute<T>) == 8 ? 1 : 3)
+    box_tile(Box<T> p, BoxAxis across, BoxAxis down, Tiles tiles, bool vectorized) {
+  sum_tile(p, blockIdx.x, across, down, tiles, vectorized);
+}
+template <class T>
+__global__ void __launch_bounds__(256, sizeof(Compute<T>) == 8 ? 1 : 3)
+    box_tile_of_list(__grid_constant__ BoxList<T> const list, Tiles tiles, bool transposed) {
+  unsigned block;
+  Box<T> const* const p = sample_of_block(list, block);
+  if (!p) return;
+  tiles.set_counts(*p);
+  BoxAxis const across(p->kx, p->x.width, p->border, transposed), down(p->ky, p->x.height, p->border, transposed);
+  sum_tile(*p, block, across, down, tiles, false);
+}
+
 // --- windows that are too large for tiles, and transposes of even windows with a reflected border --------------------
 
 template <class T>
-__global__ void box_any(Box<T> p, bool transposed) {
+__device__ __forceinline__ void sum_any(Box<T> const& p, unsigned block, bool transposed) {
   using F = Compute<T>;
-  int64_t const i = int64_t(blockIdx.x) * blockDim.x + threadIdx.x, size = p.x.row_size(), step = p.x.step;
+  int64_t const i = int64_t(block) * blockDim.x + threadIdx.x, size = p.x.row_size(), step = p.x.step;
   if (i >= p.x.rows() * size) return;
   int64_t const e = i % size, r = i / size, plane = r / p.x.height, y = r % p.x.height, x = e / step, c = e % step;
   BoxAxis const across(p.kx, p.x.width, p.border, transposed), down(p.ky, p.x.height, p.border, transposed);
@@ -268,38 +289,64 @@ __global__ void box_any(Box<T> p, bool transposed) {
   p.y.row(plane, y)[e] = round_to<T>(quotient<T>(sum, p.divisor, 1 / p.divisor));
 }
 
+template <class T>
+__global__ void box_any(Box<T> p, bool transposed) {
+  sum_any(p, blockIdx.x, transposed);
+}
+template <class T>
+__global__ void box_any_of_list(__grid_constant__ BoxList<T> const list, bool transposed) {
+  unsigned block;
+  Box<T> const* const p = sample_of_block(list, block);
+  if (!p) return;
+  sum_any(*p, block, transposed);
+}
+
 // --- launchers -------------------------------------------------------------------------------------------------------
 
 // The window as a separable filter with weights of 1.
 template <class T>
-int launch_strips(Box<T> const& p, BoxAxis const& axis, CUstream_st* stream) {
+Separable<T> as_separable(Box<T> const& p, BoxAxis const& axis) {
   Taps<float> const ones{nullptr, 0, 0, int(p.kx), int(p.kx / 2), false, false};
-  Separable<T> const sums{p.x, p.y, ones, ones, p.x.count(), 1, p.center, axis.border, Border::constant};
+  return {p.x, p.y, ones, ones, p.x.count(), 1, p.center, axis.border, Border::constant};
+}
+
+// Work: a batch or a list.
+template <class T, class Work>
+int launch_strips(Work const& sums, BoxAxis const& axis, Compute<T> divisor, CUstream_st* stream) {
   if constexpr (sizeof(T) > 1)
-    if (axis.doubled) return separable_reflect_backward_strips(sums, p.divisor, stream);
-  return separable_strips(sums, p.divisor, stream);
+    if (axis.doubled) return separable_reflect_backward_strips(sums, divisor, stream);
+  return separable_strips(sums, divisor, stream);
+}
+
+// The widest tiles that fit; of width 0 where none does.
+template <class F>
+Tiles widest_tiles(int64_t ky, int64_t extra_columns) {
+  // Shared memory of a block: at most, and so that a multiprocessor has two.
+  int64_t const max_bytes = max_shared_bytes(224 << 10), preferred = min(int64_t(112 << 10), max_bytes);
+  Tiles tiles{};
+  tiles.depth = ky > kRows ? int(ceil_div(ky - 1, kRows)) : 2;
+  auto const fits = [&](int64_t shared) { return tiles.width + extra_columns <= kSpan && tiles.bytes<F>() <= shared; };
+  for (tiles.width = 256; tiles.width > 32 && !fits(preferred);) tiles.width -= 32;
+  if (!fits(max_bytes)) tiles.width = 0;
+  return tiles;
 }
 
 template <class T>
 int launch(Box<T> const& p, bool transposed, CUstream_st* stream) {
   using F = Compute<T>;
-  // Shared memory of a block: at most, and so that a multiprocessor has two.
-  int64_t const max_bytes = max_shared_bytes(224 << 10), preferred = min(int64_t(112 << 10), max_bytes);
   BoxAxis const across(p.kx, p.x.width, p.border, transposed), down(p.ky, p.x.height, p.border, transposed);
   bool const gathers = across.gathers() || down.gathers();
 
   if constexpr (sizeof(T) <= 4)
     // Special case, H200: 0.91 (box31 backward) to 5.6 (box5) times as fast as the tiles below.
-    if (!gathers && supports_strips(p.x, p.ky, p.kx)) return launch_strips(p, across, stream);
+    if (!gathers && supports_strips(p.x, p.ky, p.kx))
+      return launch_strips<T>(as_separable(p, across), across, p.divisor, stream);
 
   bool const even_reflect = gathers && p.border == Border::reflect;
   int64_t const planes = p.x.count() * p.x.step, extra_columns = p.kx - 1 + (across.gathers() ? p.kx - 1 : 0);
-  Tiles tiles{};
-  tiles.depth = p.ky > kRows ? int(ceil_div(p.ky - 1, kRows)) : 2;
-  auto const fits = [&](int64_t shared) { return tiles.width + extra_columns <= kSpan && tiles.bytes<F>() <= shared; };
-  for (tiles.width = 256; tiles.width > 32 && !fits(preferred);) tiles.width -= 32;
+  Tiles tiles = widest_tiles<F>(p.ky, extra_columns);
   // Special case, H200: 338 (box33) to 503 (box33 backward) times as fast as a thread an element.
-  if (even_reflect || !fits(max_bytes)) {
+  if (even_reflect || tiles.width == 0) {
     box_any<<<unsigned(ceil_div(p.x.rows() * p.x.row_size(), 256)), 256, 0, stream>>>(p, transposed);
     return cudaGetLastError();
   }
@@ -309,13 +356,52 @@ int launch(Box<T> const& p, bool transposed, CUstream_st* stream) {
   // again.
   int64_t const target = ceil_div(3 * 132, planes * tiles.across), most = ceil_div(p.x.height, max(p.ky, int64_t(32)));
   tiles.height = int(ceil_div(p.x.height, clamp(target, int64_t(1), most)));
-  tiles.down = int(ceil_div(p.x.height, tiles.height));
+  tiles.set_counts(p);
   int64_t const bytes = tiles.bytes<F>();
   if (int const error = cudaFuncSetAttribute(box_tile<T>, cudaFuncAttributeMaxDynamicSharedMemorySize, int(bytes)))
     return error;
   box_tile<<<unsigned(planes * tiles.across * tiles.down), 256, unsigned(bytes), stream>>>(
       p, across, down, tiles, is_vectorizable<16 / sizeof(T)>(p.x));
   return cudaGetLastError();
+}
+
+template <class T>
+int launch(BoxList<T> const& p, bool transposed, CUstream_st* stream) {
+  using F = Compute<T>;
+  Box<T> const& all = p.all;
+  // The rules of the axes do not depend on the sizes of images.
+  BoxAxis const across(all.kx, 1, all.border, transposed), down(all.ky, 1, all.border, transposed);
+  bool const gathers = across.gathers() || down.gathers();
+  if constexpr (sizeof(T) <= 4)
+    if (!gathers && all_samples(p, [](Box<T> const& one) { return supports_strips(one.x, one.ky, one.kx); })) {
+      SeparableList<T> sums;
+      sums.all = as_separable(all, across);
+      sums.all.planes = p.channels;
+      sums.list = p.list, sums.chosen = p.chosen, sums.chosen_stride = p.chosen_stride, sums.channels = p.channels;
+      return launch_strips<T>(sums, across, all.divisor, stream);
+    }
+  Tiles tiles = widest_tiles<F>(all.ky, all.kx - 1 + (across.gathers() ? all.kx - 1 : 0));
+  if ((gathers && all.border == Border::reflect) || tiles.width == 0)
+    return launch_list(
+        p, [](Box<T> const& one) { return ceil_div(one.x.rows() * one.x.row_size(), 256); },
+        [&](BoxList<T> const& list, unsigned blocks) {
+          box_any_of_list<T><<<blocks, 256, 0, stream>>>(list, transposed);
+        });
+  tiles.height = int(max(all.ky, int64_t(64)));
+  int64_t const bytes = tiles.bytes<F>();
+  if (int const error =
+          cudaFuncSetAttribute(box_tile_of_list<T>, cudaFuncAttributeMaxDynamicSharedMemorySize, int(bytes)))
+    return error;
+  return launch_list(
+      p,
+      [&](Box<T> const& one) {
+        Tiles own = tiles;
+        own.set_counts(one);
+        return one.x.count() * one.x.step * own.across * own.down;
+      },
+      [&](BoxList<T> const& list, unsigned blocks) {
+        box_tile_of_list<T><<<blocks, 256, unsigned(bytes), stream>>>(list, tiles, transposed);
+      });
 }
 
 }  // namespace
@@ -329,6 +415,17 @@ int box_backward(Box<T> const& p, CUstream_st* stream) {
   return launch(p, true, stream);
 }
 
+template <class T>
+int box_list(BoxList<T> const& p, CUstream_st* stream) {
+  return launch(p, false, stream);
+}
+template <class T>
+int box_list_backward(BoxList<T> const& p, CUstream_st* stream) {
+  return launch(p, true, stream);
+}
+
+KV_INSTANTIATE_WITH_BYTES(box_list, BoxList)
+KV_INSTANTIATE(box_list_backward, BoxList)
 KV_INSTANTIATE_WITH_BYTES(box, Box)
 KV_INSTANTIATE(box_backward, Box)
 

@@ -18,10 +18,17 @@ struct Box {
   int64_t ky, kx;
   Border border;
   Compute<T> center, divisor;
+
+  KV_HD void select(int64_t) {}
 };
+
+template <class T>
+struct BoxList : FilterList<Box<T>, T> {};
 
 KV_KERNEL(box, Box)
 KV_KERNEL(box_backward, Box)
+KV_KERNEL(box_list, BoxList)
+KV_KERNEL(box_list_backward, BoxList)
 
 // One axis of the sum. Pixel i sums the positions i - before ... i + after. Positions out of bounds follow `border`.
 //

@@ -330,7 +330,19 @@ void box_backward(Box<T> const& p, int64_t begin, int64_t end) {
   box_rows<Compute<T>>(p, true, begin, end);
 }
 
+template <class T>
+void box_list(BoxList<T> const& p, int64_t begin, int64_t end) {
+  filter_items(p, begin, end, [](Box<T> const& one, int64_t first, int64_t last) { KV_ISA::box(one, first, last); });
+}
+template <class T>
+void box_list_backward(BoxList<T> const& p, int64_t begin, int64_t end) {
+  filter_items(p, begin, end,
+               [](Box<T> const& one, int64_t first, int64_t last) { KV_ISA::box_backward(one, first, last); });
+}
+
 KV_INSTANTIATE_WITH_BYTES(box, Box)
 KV_INSTANTIATE(box_backward, Box)
+KV_INSTANTIATE_WITH_BYTES(box_list, BoxList)
+KV_INSTANTIATE(box_list_backward, BoxList)
 
 }  // namespace kv::filters::KV_ISA

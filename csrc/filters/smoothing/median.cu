@@ -2,6 +2,7 @@
 // registers and compute two output rows a step. Half types and bytes are sorted two pixels at a time. Bytes are read by
 // groups of columns and sorted as they are stored, other types by strips. Other windows, and channels-last images, take
 // a plain kernel with one thread for each element.
+#include "core/filter_list.cuh"
 #include "core/stencils/column_groups.cuh"
 #include "core/stencils/pairs.cuh"
 #include "median.h"
@@ -232,10 +233,38 @@ __global__ void __launch_bounds__(kThreads, kBlocks<uint8_t, K>)
   median_rows<K, N, uint8_t>(rows, int(p.x.height), p.border, y0, min(y0 + groups.rows, int(p.x.height)));
 }
 
+// The same of lists.
+template <int K, int N, class T>
+__global__ void __launch_bounds__(kThreads, kBlocks<T, K>)
+    median_strip_of_list(__grid_constant__ MedianBlurList<T> const list) {
+  unsigned block;
+  MedianBlur<T> const* const p = sample_of_block(list, block);
+  if (!p) return;
+  Strips<N * kPixelsOfValue<T>> const strips(p->x.count(), p->x.height, p->x.width, kRows);
+  int64_t plane;
+  int x, y0;
+  if (!strips.locate(block, plane, x, y0)) return;
+  StripRows<K, N, T, false> rows(*p, plane, x, y0);
+  median_rows<K, N, T>(rows, int(p->x.height), p->border, y0, min(y0 + int(strips.rows), int(p->x.height)));
+}
+template <int K, int N>
+__global__ void __launch_bounds__(kThreads, kBlocks<uint8_t, K>)
+    median_groups_of_list(__grid_constant__ MedianBlurList<uint8_t> const list) {
+  unsigned block;
+  MedianBlur<uint8_t> const* const p = sample_of_block(list, block);
+  if (!p) return;
+  ColumnGroups<2 * N> const groups(p->x.count(), p->x.height, p->x.width, kRows, K / 2, kThreads);
+  int64_t plane;
+  int x, y0;
+  groups.locate(block, plane, x, y0);
+  GroupedBytes<K, N, 0> rows(*p, plane, x, y0);
+  median_rows<K, N, uint8_t>(rows, int(p->x.height), p->border, y0, min(y0 + groups.rows, int(p->x.height)));
+}
+
 template <class T>
-__global__ void median_any(MedianBlur<T> p) {
+__device__ __forceinline__ void median_of_pixel(MedianBlur<T> const& p, unsigned block) {
   using Key = MedianKey<T>;
-  int64_t const i = int64_t(blockIdx.x) * blockDim.x + threadIdx.x, size = p.x.row_size(), step = p.x.step;
+  int64_t const i = int64_t(block) * blockDim.x + threadIdx.x, size = p.x.row_size(), step = p.x.step;
   if (i >= p.x.rows() * size) return;
   int64_t const e = i % size, r = i / size, plane = r / p.x.height;
   int const y = int(r % p.x.height), x = int(e / step), channel = int(e % step);
@@ -271,6 +300,17 @@ __global__ void median_any(MedianBlur<T> p) {
   p.y.row(plane, y)[e] = from_key<T>(median);
 }
 
+template <class T>
+__global__ void median_any(MedianBlur<T> p) {
+  median_of_pixel(p, blockIdx.x);
+}
+template <class T>
+__global__ void median_any_of_list(__grid_constant__ MedianBlurList<T> const list) {
+  unsigned block;
+  MedianBlur<T> const* const p = sample_of_block(list, block);
+  if (p) median_of_pixel(*p, block);
+}
+
 template <int K, int N, class T>
 void launch_strips(MedianBlur<T> const& p, CUstream_st* stream) {
   constexpr int P = N * kPixelsOfValue<T>;
@@ -297,7 +337,53 @@ bool launch_groups(MedianBlur<uint8_t> const& p, CUstream_st* stream) {
   return true;
 }
 
+template <int K, int N, class T>
+int launch_strips(MedianBlurList<T> const& p, CUstream_st* stream) {
+  constexpr int P = N * kPixelsOfValue<T>;
+  return launch_list(
+      p,
+      [](MedianBlur<T> const& one) {
+        return Strips<P>(one.x.count(), one.x.height, one.x.width, kRows).blocks(kThreads / 32);
+      },
+      [&](MedianBlurList<T> const& list, unsigned blocks) {
+        median_strip_of_list<K, N><<<blocks, kThreads, 0, stream>>>(list);
+      });
+}
+
+template <int K, int N>
+int launch_groups(MedianBlurList<uint8_t> const& p, CUstream_st* stream) {
+  return launch_list(
+      p,
+      [](MedianBlur<uint8_t> const& one) {
+        return ColumnGroups<2 * N>(one.x.count(), one.x.height, one.x.width, kRows, K / 2, kThreads).blocks();
+      },
+      [&](MedianBlurList<uint8_t> const& list, unsigned blocks) {
+        median_groups_of_list<K, N><<<blocks, kThreads, 0, stream>>>(list);
+      });
+}
+
+// By groups of bytes that serve all images, or by strips.
+template <int K, int N, class T>
+int launch_network(MedianBlurList<T> const& p, CUstream_st* stream) {
+  if constexpr (sizeof(T) == 1)
+    if (all_samples(p, [](MedianBlur<T> const& one) { return supports_groups<2 * N, K / 2>(one.x); }))
+      return launch_groups<K, N>(p, stream);
+  return launch_strips<K, N>(p, stream);
+}
+
 }  // namespace
+
+template <class T>
+int median_blur_list(MedianBlurList<T> const& p, CUstream_st* stream) {
+  bool const is_square = p.all.ky == p.all.kx && !p.list.interleaved;
+  if (is_square && p.all.kx == 3) return launch_network<3, 4>(p, stream);
+  if (is_square && p.all.kx == 5) return launch_network<5, 2>(p, stream);
+  return launch_list(
+      p, [](MedianBlur<T> const& one) { return ceil_div(one.x.rows() * one.x.row_size(), 256); },
+      [&](MedianBlurList<T> const& list, unsigned blocks) {
+        median_any_of_list<T><<<blocks, 256, 0, stream>>>(list);
+      });
+}
 
 template <class T>
 int median_blur(MedianBlur<T> const& p, CUstream_st* stream) {
@@ -314,5 +400,6 @@ int median_blur(MedianBlur<T> const& p, CUstream_st* stream) {
 }
 
 KV_INSTANTIATE_WITH_BYTES(median_blur, MedianBlur)
+KV_INSTANTIATE_WITH_BYTES(median_blur_list, MedianBlurList)
 
 }  // namespace kv::filters::cuda

@@ -15,6 +15,7 @@
 #pragma once
 
 #include "core/border.h"
+#include "core/filter_list.h"
 #include "core/isa.h"
 #include "core/view.h"
 #ifdef __CUDACC__
@@ -29,7 +30,12 @@ struct MedianBlur {
   Planes<T> y;
   int64_t ky, kx;
   Border border;
+
+  KV_HD void select(int64_t) {}
 };
+
+template <class T>
+struct MedianBlurList : FilterList<MedianBlur<T>, T> {};
 
 template <class T>
 struct MedianBlurBackward {
@@ -40,6 +46,7 @@ struct MedianBlurBackward {
 };
 
 KV_KERNEL(median_blur, MedianBlur)
+KV_KERNEL(median_blur_list, MedianBlurList)
 KV_KERNEL(median_blur_backward, MedianBlurBackward)
 
 // Pixels of a window of size k before and after its center.

@@ -479,7 +479,14 @@ void median_blur_backward(MedianBlurBackward<T> const& p, int64_t begin, int64_t
   });
 }
 
+template <class T>
+void median_blur_list(MedianBlurList<T> const& p, int64_t begin, int64_t end) {
+  filter_items(p, begin, end,
+               [](MedianBlur<T> const& one, int64_t first, int64_t last) { KV_ISA::median_blur(one, first, last); });
+}
+
 KV_INSTANTIATE_WITH_BYTES(median_blur, MedianBlur)
+KV_INSTANTIATE_WITH_BYTES(median_blur_list, MedianBlurList)
 KV_INSTANTIATE(median_blur_backward, MedianBlurBackward)
 
 }  // namespace kv::filters::KV_ISA

@@ -12,6 +12,7 @@ from torch import Tensor
 from kvision import _check, enhance, filters
 from kvision._choices import Border
 from kvision._clamp import clamp
+from kvision._modes import BORDER
 from kvision.augmentation.engine import AugmentationBase, Execution, Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
 from kvision.augmentation.keys import refuse_mapped
@@ -23,6 +24,9 @@ from kvision.augmentation.random_generator.filters import (
 from kvision.augmentation.random_generator.plain import PlainUniformGenerator
 from kvision.augmentation.ranges import Numbers
 from kvision.constants import AnyBorderType, AnyResample, BorderType, Resample
+from kvision.filters.smoothing import box, gaussian, median
+from kvision.geometry.transform.lists.arguments import row
+from kvision.geometry.transform.lists.kept_sizes import Operation, register_filter
 
 __all__ = [
     "RandomAutoContrast",
@@ -76,6 +80,12 @@ class RandomBoxBlur(IntensityAugmentationBase2D, keeps_contract=True):
     ) -> Tensor:
         return filters.box_blur(input, flags["kernel_size"], border_name(flags["border_type"]))
 
+    filters_chosen = True
+
+    def _operation(self, like: Tensor, params: Params) -> Operation:
+        size, border = self.flags["kernel_size"], border_name(self.flags["border_type"])
+        return Operation(box._box_blur, box.box_arguments("RandomBoxBlur", like, size, border)[1:])
+
 
 class RandomGaussianBlur(IntensityAugmentationBase2D, keeps_contract=True):
     """Blur images by Gaussians, each by its own.
@@ -126,6 +136,14 @@ class RandomGaussianBlur(IntensityAugmentationBase2D, keeps_contract=True):
             input, flags["kernel_size"], params["sigma"].unsqueeze(1).expand(-1, 2), border_name(flags["border_type"])
         )
 
+    filters_chosen = True
+
+    def _operation(self, like: Tensor, params: Params) -> Operation:
+        size, border = self.flags["kernel_size"], border_name(self.flags["border_type"])
+        sigma = params["sigma"].unsqueeze(1).expand(-1, 2)
+        arguments = gaussian.blur_arguments("RandomGaussianBlur", like, size, sigma, border)
+        return Operation(gaussian._gaussian_blur2d, arguments[1:])
+
 
 class RandomMedianBlur(IntensityAugmentationBase2D, keeps_contract=True):
     """Replace pixels by the median of a window.
@@ -161,6 +179,13 @@ class RandomMedianBlur(IntensityAugmentationBase2D, keeps_contract=True):
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
         return filters.median_blur(input, flags["kernel_size"])
+
+    filters_chosen = True
+
+    def _operation(self, like: Tensor, params: Params) -> Operation:
+        ky, kx = _check.pair("RandomMedianBlur", "kernel_size", self.flags["kernel_size"])
+        _check.reflectable("RandomMedianBlur", like, (ky // 2, kx // 2), "reflect")
+        return Operation(median._median_blur, (ky, kx, BORDER["reflect"]))
 
 
 class DrawnKernelSize(AugmentationBase):
@@ -456,3 +481,24 @@ class RandomJPEG(IntensityAugmentationBase2D, keeps_contract=True):
 def border_name(border: Any) -> Any:
     """The name of a border as kvision.filters takes it."""
     return BorderType.get(border).name.lower()
+
+
+# --- lists ----------------------------------------------------------------------------------------------------------
+
+
+def _sigma_gradients(needs: Any, grad: Tensor, x: Tensor, *blur: Any) -> list[Tensor | None]:
+    return [None, gaussian.sigma_gradient(grad, x, *blur)]
+
+
+def _median_gradients(needs: Any, grad: Tensor, x: Tensor, *window: Any) -> list[Tensor | None]:
+    return [median._backward(grad, x, median._median_blur(x, *window), *window)]
+
+
+for of, transposed in ((box._box_blur, box._transposed), (box._transposed, box._box_blur)):
+    register_filter(of, lambda b, *window: window, lambda *_: [None], transposed)
+register_filter(median._median_blur, lambda b, *window: window, _median_gradients)
+for of, transposed, gradients in (
+    (gaussian._gaussian_blur2d, gaussian._transposed, _sigma_gradients),
+    (gaussian._transposed, gaussian._gaussian_blur2d, lambda needs, g, x, *blur: _sigma_gradients(needs, x, g, *blur)),
+):
+    register_filter(of, lambda b, sigma, *rest: (row(sigma, b), *rest), gradients, transposed)

@@ -28,7 +28,7 @@ from kvision.augmentation.keys import Keys, Seed, check_seeds, draw_keys
 from kvision.augmentation.noise import PixelNoise
 from kvision.augmentation.samples import where_chosen
 from kvision.augmentation.warp_and_color import SAME, Output, Pass, make_pass
-from kvision.geometry.transform.lists.arguments import like_batch
+from kvision.geometry.transform.lists.arguments import like_batch, smallest_batch
 from kvision.geometry.transform.lists.kept_sizes import Operation
 
 
@@ -370,7 +370,9 @@ class Executor(Declaration):
             type(self)._operation is not Executor._operation
             and not self._is_customized()
             and (
-                self.fuses_noise and dtype != torch.float64 if is_per_pixel else self.keeps_unchosen or self.fuses_noise
+                self.fuses_noise and dtype != torch.float64
+                if is_per_pixel
+                else self.keeps_unchosen or self.fuses_noise or self.filters_chosen
             )
             and self._result_dtype(dtype) == dtype
             and (self.accepts_bytes or dtype != torch.uint8)
@@ -378,8 +380,10 @@ class Executor(Declaration):
 
     def _run_list(self, images: Sequence[Tensor], execution: Execution) -> list[Tensor]:
         """Execute on a list of images (C, H, W) of a type that it operates on."""
-        like = like_batch(images)
-        return self._operation(like, self._params_on_device(like, execution, for_users=False)).on_list(images)
+        like = smallest_batch(images) if self.filters_chosen else like_batch(images)
+        columns = None if execution.is_certain else execution.columns
+        chosen = None if columns is None or columns.chosen is None else columns.chosen.float()
+        return self._operation(like, self._params_on_device(like, execution, for_users=False)).on_list(images, chosen)
 
     @kept
     def _needs_no_matrix(self) -> bool:

@@ -28,7 +28,7 @@ def _reference(x: Tensor, ky: int, kx: int, border: int) -> Tensor:
 
 
 _box_blur = register("box_blur", _reference, gradients="input: box_blur_backward", linear=True, bytes=True)
-register("box_blur_backward", transpose(_reference), gradients="grad: box_blur(input=grad_grad)", linear=True)
+_transposed = register("box_blur_backward", transpose(_reference), gradients="grad: box_blur(input=grad_grad)", linear=True)
 
 
 def box_blur(
@@ -56,11 +56,7 @@ def box_blur(
         >>> K.filters.box_blur(x, (1, 3), "replicate")
         tensor([[[[1., 3., 3., 2.]]]])
     """
-    _check.images("box_blur", "input", input)
-    ky, kx = _check.pair("box_blur", "kernel_size", kernel_size)
-    _check.border("box_blur", border_type)
-    _check.reflectable("box_blur", input, (ky // 2, kx // 2), border_type)
-    return _box_blur(pixels(input), ky, kx, BORDER[border_type])
+    return _box_blur(*box_arguments("box_blur", input, kernel_size, border_type))
 
 
 class BoxBlur(FunctionModule):
@@ -79,3 +75,14 @@ class BoxBlur(FunctionModule):
 
     def forward(self, input: Tensor) -> Tensor:
         return box_blur(input, self.kernel_size, self.border_type, self.separable)
+
+
+def box_arguments(
+    op: str, input: Tensor, kernel_size: tuple[int, int] | int, border_type: Border
+) -> tuple[Tensor, int, int, int]:
+    """The checked arguments of a box blur as its operator takes them."""
+    _check.images(op, "input", input)
+    ky, kx = _check.pair(op, "kernel_size", kernel_size)
+    _check.border(op, border_type)
+    _check.reflectable(op, input, (ky // 2, kx // 2), border_type)
+    return pixels(input), ky, kx, BORDER[border_type]

@@ -31,7 +31,7 @@ def _backward_reference(grad: Tensor, x: Tensor, y: Tensor, ky: int, kx: int, bo
 _median_blur = register(
     "median_blur", _reference, gradients="input: median_blur_backward(output=detach(result))", bytes=True
 )
-register("median_blur_backward", _backward_reference, layout_of=1)
+_backward = register("median_blur_backward", _backward_reference, layout_of=1)
 
 
 def median_blur(input: Tensor, kernel_size: tuple[int, int] | int, border_type: Border = "reflect") -> Tensor:

@@ -128,6 +128,12 @@ def like_batch(images: Sequence[Tensor]) -> Tensor:
     return images[0][:, :1, :1].detach().expand(len(images), -1, -1, -1)
 
 
+def smallest_batch(images: Sequence[Tensor]) -> Tensor:
+    """(B, C, H, W) of the type, the device and the smallest sides of a list: what windows have to fit into."""
+    sides = sizes(images)
+    return like_batch(images).expand(-1, -1, min(sides[::2]), min(sides[1::2]))
+
+
 def largest_shape(images: Sequence[Tensor]) -> tuple[int, ...]:
     """(B, C, H, W) with the largest sides of a list."""
     if isinstance(images, ImageList):

@@ -11,9 +11,11 @@ from torch import Tensor
 from kvision._list_ops import ListOperator
 from kvision._ops import Operator
 from kvision.geometry.transform.lists import arguments as lists
+from kvision.geometry.transform.lists.arguments import row
 
 Arguments = tuple[Any, ...]
 _OF_LISTS: dict[Operator, ListOperator] = {}
+_FILTERS: set[ListOperator] = set()
 
 
 def runs_on_lists(operator: Operator) -> bool:
@@ -31,11 +33,16 @@ class Operation(NamedTuple):
         y: Tensor = self.operator(images, *self.arguments)
         return y
 
-    def on_list(self, images: Sequence[Tensor]) -> list[Tensor]:
-        """The results of images (C, H, W) of different sizes."""
+    def on_list(self, images: Sequence[Tensor], chosen: Tensor | None = None) -> list[Tensor]:
+        """The results of images (C, H, W) of different sizes.
+
+        Those of filters copy images that are not `chosen`, (B,) float32; None for all.
+        """
         if self.operator.non_differentiable:
             images = [x.detach() for x in images]
-        return list(_OF_LISTS[self.operator](images, *self.arguments))
+        operator = _OF_LISTS[self.operator]
+        first = (chosen,) if operator in _FILTERS else ()
+        return list(operator(images, *first, *self.arguments))
 
 
 def register_list(
@@ -80,6 +87,63 @@ def register_list(
         backward=gradients,
     )
     return _OF_LISTS[of]
+
+
+def register_filter(
+    of: Operator,
+    of_sample: Callable[..., Arguments],
+    backward: Callable[..., Sequence[Tensor | None]],
+    transposed: Operator | None = None,
+) -> None:
+    """The operator on lists of a filter, named as the one on batches and `_list`.
+
+    Its arguments behind the images are `chosen`, (B,) float32, 0 for images that are copied, or None, and those of the operator
+    on batches.
+
+    Args:
+        of: the operator on batches.
+        of_sample: the arguments behind the images of sample b, for its number and those of all.
+        backward: the gradients of the images of a batch and of the tensors behind them, for which of them are wanted, the
+            gradient, the images and the arguments.
+        transposed: the operator on lists of which gives the gradients of the images at once, instead of `backward`.
+    """
+
+    def reference(images: Sequence[Tensor], chosen: Tensor | None, *args: Any) -> list[Tensor]:
+        each = [of.reference(x[None], *of_sample(b, *args))[0] for b, x in enumerate(images)]
+        if chosen is None:
+            return each
+        return [torch.where(own != 0, y, x) for own, y, x in zip(chosen.expand(len(images)).unbind(), each, images)]
+
+    def gradients(
+        needs: Sequence[bool], grads: Any, images: Sequence[Tensor], chosen: Tensor | None, *args: Any
+    ) -> list[Any]:
+        needs = (needs[0], *needs[2:])  # but for `chosen`
+        grads = [torch.zeros_like(x) if g is None else g for g, x in zip(grads, images)]
+        of_images = None
+        if transposed is not None and needs[0]:
+            of_images, needs = _OF_LISTS[transposed](grads, chosen, *args), (False, *needs[1:])
+        if not any(needs):
+            return [of_images, None, *(None,) * (len(needs) - 1)]
+        each = []
+        for b, (g, x) in enumerate(zip(grads, images)):
+            own, *others = backward(needs, g[None], x[None], *of_sample(b, *args))
+            if chosen is not None:
+                is_own = row(chosen, b) != 0
+                own = None if own is None else torch.where(is_own, own, g[None])
+                others = [None if t is None else torch.where(is_own, t, 0.0) for t in others]
+            each.append((own, *others))
+        own, *more = zip(*each)
+        of_images = [g[0] for g in own] if needs[0] else of_images
+        return [of_images, None, *(None if t[0] is None else _of_all(t, x) for t, x in zip(more, args))]
+
+    _OF_LISTS[of] = ListOperator(
+        f"{of.name}_list",
+        of,
+        reference,
+        fake=lambda images, *args: lists.fake_results(images, [n for x in images for n in x.shape[-2:]]),
+        backward=gradients,
+    )
+    _FILTERS.add(_OF_LISTS[of])
 
 
 def _of_all(each: Sequence[Tensor], like: Tensor) -> Tensor:

@@ -1,0 +1,168 @@
+// Filters of lists of images of different sizes, whose results have the sizes of the images: schemas and entries, for
+// CPU and CUDA.
+#include "augmentation/noise_glue.h"
+#include "filters/separable_glue.h"
+#include "filters/smoothing/box_glue.h"
+#include "filters/smoothing/median.h"
+#include "geometry/transform/lists/list_glue.h"
+
+namespace kv::filters {
+namespace {
+
+// Run over the items of a table; `like` is on its device, and an item touches about `cost` elements.
+template <class T>
+void run([[maybe_unused]] Tensor const& like, SeparableList<T> const& p, [[maybe_unused]] int64_t cost) {
+  KV_RUN(separable_list, like, p, p.list.items, cost);
+}
+template <class T>
+void run([[maybe_unused]] Tensor const& like, BoxList<T> const& p, [[maybe_unused]] int64_t cost) {
+  KV_RUN(box_list, like, p, p.list.items, cost);
+}
+template <class T>
+void run_backward([[maybe_unused]] Tensor const& like, BoxList<T> const& p, [[maybe_unused]] int64_t cost) {
+  KV_RUN(box_list_backward, like, p, p.list.items, cost);
+}
+template <class T>
+void run([[maybe_unused]] Tensor const& like, MedianBlurList<T> const& p, [[maybe_unused]] int64_t cost) {
+  KV_RUN(median_blur_list, like, p, p.list.items, cost);
+}
+
+}  // namespace
+}  // namespace kv::filters
+
+namespace kv::augmentation {
+namespace {
+
+using OptionalTensor = std::optional<Tensor>;
+
+// Images (C, H, W), and which of them are filtered, (B,) float32; the others are copied.
+struct ListedImages {
+  geometry::KeptSizes kept;
+  OptionalTensor const& chosen;
+  Tensors images;  // in the layout of the results
+
+  ListedImages(char const* op, Tensors const& images, OptionalTensor const& chosen)
+      : kept(op, images), chosen(chosen), images(geometry::in_layout(images, kept.layout)) {
+    check_chosen(op, chosen, like());
+  }
+  // Stands for a batch in checks.
+  Tensor const& like() const { return kept.largest; }
+  int64_t channels() const { return like().size(1); }
+  int64_t planes() const { return kept.interleaved() ? 1 : channels(); }
+
+  void check_window_fits(Border border, int64_t ky, int64_t kx) const {
+    check_window(kept.op, ky, kx);
+    for (Tensor const& x : images) {
+      check_border(kept.op, border, ky / 2, x.size(1));
+      check_border(kept.op, border, kx / 2, x.size(2));
+    }
+  }
+
+  // Runs a filter, `all` without images, on tables of at most kMaxListed samples: run(table, cost of an item).
+  template <class List, class Filter, class Run>
+  void filter(Filter const& all, int64_t cost_of_pixel, Run run) const {
+    auto const items_of = [&](geometry::Size size) {
+      return ceil_div(planes() * size.height, rows_of_item(size.width));
+    };
+    List list;
+    kept.for_each_table(list.list, images, items_of, [&](size_t first) {
+      list.all = all;
+      list.all.select(int64_t(first));
+      list.chosen_stride = chosen && chosen->size(0) > 1 ? chosen->stride(0) : 0;
+      list.chosen = chosen ? data_ptr<float const>(*chosen) + int64_t(first) * list.chosen_stride : nullptr;
+      list.channels = int(channels());
+      run(list, cost_of_pixel * max(kItemPixels, like().size(3)) * channels() / planes());
+    });
+  }
+};
+
+// Windows and sigma as those of gaussian_blur2d.
+Tensors gaussian_list(char const* op, Tensors const& images, OptionalTensor const& chosen, OptionalTensor const& sigma,
+                      int64_t ky, int64_t kx, double sigma_y, double sigma_x, int64_t border_number, bool transposed) {
+  ListedImages const list(op, images, chosen);
+  Tensor const& like = list.like();
+  filters::check_sigma(op, sigma, like);
+  Border const border = to_border(op, border_number);
+  list.check_window_fits(border, ky, kx);
+#if defined(KV_CUDA)
+  filters::check_taps(op, ky, kx);
+#endif
+  Tensor const* const tensor = sigma ? &*sigma : nullptr;
+  filters::AxisWeights const weights_x{tensor, kx, true, 1, sigma_x}, weights_y{tensor, ky, true, 0, sigma_y};
+  dispatch_floating_and_uint8(op, like, [&]<class T>(Type<T>) {
+    auto const all = filters::separable_of<T>(weights_x, weights_y, border, true, transposed, list.planes());
+    list.filter<filters::SeparableList<T>>(
+        all, ceil_div(kx + ky, 4), [&](auto const& p, int64_t cost) { filters::run(like, p, cost); });
+  });
+  return list.kept.results;
+}
+
+Tensors gaussian_blur2d_list(Tensors const& images, OptionalTensor const& chosen, OptionalTensor const& sigma,
+                             int64_t ky, int64_t kx, double sigma_y, double sigma_x, int64_t border) {
+  return gaussian_list("gaussian_blur2d_list", images, chosen, sigma, ky, kx, sigma_y, sigma_x, border, false);
+}
+Tensors gaussian_blur2d_backward_list(Tensors const& grads, OptionalTensor const& chosen, OptionalTensor const& sigma,
+                                      int64_t ky, int64_t kx, double sigma_y, double sigma_x, int64_t border) {
+  return gaussian_list("gaussian_blur2d_backward_list", grads, chosen, sigma, ky, kx, sigma_y, sigma_x, border, true);
+}
+
+template <bool kTranspose>
+Tensors box_list(char const* op, Tensors const& images, OptionalTensor const& chosen, int64_t ky, int64_t kx,
+                 int64_t border_number) {
+  ListedImages const list(op, images, chosen);
+  Tensor const& like = list.like();
+  Border const border = to_border(op, border_number);
+  list.check_window_fits(border, ky, kx);
+  auto const filter = [&]<class T>(Type<T>) {
+    using F = Compute<T>;
+    filters::Box<T> const all{{}, {}, ky, kx, border, 0, F(double(ky) * double(kx))};
+    list.filter<filters::BoxList<T>>(all, 1, [&](auto const& p, int64_t cost) {
+      if constexpr (kTranspose)
+        filters::run_backward(like, p, cost);
+      else
+        filters::run(like, p, cost);
+    });
+  };
+  if constexpr (kTranspose)
+    dispatch_floating(op, like, filter);
+  else
+    dispatch_floating_and_uint8(op, like, filter);
+  return list.kept.results;
+}
+
+Tensors box_blur_list(Tensors const& images, OptionalTensor const& chosen, int64_t ky, int64_t kx, int64_t border) {
+  return box_list<false>("box_blur_list", images, chosen, ky, kx, border);
+}
+Tensors box_blur_backward_list(Tensors const& grads, OptionalTensor const& chosen, int64_t ky, int64_t kx,
+                               int64_t border) {
+  return box_list<true>("box_blur_backward_list", grads, chosen, ky, kx, border);
+}
+
+Tensors median_blur_list(Tensors const& images, OptionalTensor const& chosen, int64_t ky, int64_t kx,
+                         int64_t border_number) {
+  constexpr char const* op = "median_blur_list";
+  ListedImages const list(op, images, chosen);
+  Tensor const& like = list.like();
+  Border const border = to_border(op, border_number);
+  list.check_window_fits(border, ky, kx);
+  dispatch_floating_and_uint8(op, like, [&]<class T>(Type<T>) {
+    filters::MedianBlur<T> const all{{}, {}, ky, kx, border};
+    list.filter<filters::MedianBlurList<T>>(
+        all, ceil_div(kx * ky, 4), [&](auto const& p, int64_t cost) { filters::run(like, p, cost); });
+  });
+  return list.kept.results;
+}
+
+}  // namespace
+
+// `chosen` (B,) float32: images whose value is 0 stay as they are. What follows are the arguments of the operators on
+// batches.
+#define KV_GAUSSIAN "Tensor? chosen, Tensor? sigma, int ky, int kx, float sigma_y, float sigma_x, int border) -> Tensor[]"
+KV_OPERATOR(gaussian_blur2d_list, "(Tensor[] images, " KV_GAUSSIAN)
+KV_OPERATOR(gaussian_blur2d_backward_list, "(Tensor[] grads, " KV_GAUSSIAN)
+#undef KV_GAUSSIAN
+KV_OPERATOR(box_blur_list, "(Tensor[] images, Tensor? chosen, int ky, int kx, int border) -> Tensor[]")
+KV_OPERATOR(median_blur_list, "(Tensor[] images, Tensor? chosen, int ky, int kx, int border) -> Tensor[]")
+KV_OPERATOR(box_blur_backward_list, "(Tensor[] grads, Tensor? chosen, int ky, int kx, int border) -> Tensor[]")
+
+}  // namespace kv::augmentation

@@ -9,8 +9,8 @@
 namespace kv {
 namespace {
 
-// The sample of a block, in shared memory, and the number of the block among those of the sample. Of a sample that is not
-// chosen each block copies as many rows, and there is nothing left to do: null.
+// The sample of a block, in shared memory, and the number of the block among those of the sample. Of a sample that is
+// not chosen each block copies as many rows, and there is nothing left to do: null.
 template <class Filter, class T>
 __device__ __forceinline__ Filter const* sample_of_block(FilterList<Filter, T> const& p, unsigned& block) {
   __shared__ __align__(16) unsigned char memory[sizeof(Filter)];

@@ -1,5 +1,5 @@
-// Filters of lists of images of different sizes, whose results have the sizes of the images: a sample is a batch of one,
-// for which the kernels of batches are run. Included by headers of filters.
+// Filters of lists of images of different sizes, whose results have the sizes of the images: a sample is a batch of
+// one, for which the kernels of batches are run. Included by headers of filters.
 #pragma once
 
 #include "image_list.h"

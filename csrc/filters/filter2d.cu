@@ -1,6 +1,7 @@
 // Cross-correlation with any kernel on CUDA. Images that filter2d_strip.cu does not support, and volumes, go by tiles
 // in shared memory, from which all taps read. float64 and kernels that are too large for shared memory take one thread
 // for each element.
+#include "core/filter_list.cuh"
 #include "filter2d_tile.cuh"
 
 namespace kv::filters::cuda {
@@ -8,6 +9,8 @@ namespace kv::filters::cuda {
 // Launches the kernel of filter2d_strip.cu if it supports p, and returns whether it did.
 template <class T>
 bool try_filter2d_strips(Filter2d<T> const& p, CUstream_st* stream);
+template <class T>
+bool try_filter2d_strips(Filter2dList<T> const& p, CUstream_st* stream, int& error);
 
 namespace {
 
@@ -87,15 +90,14 @@ __device__ __forceinline__ void for_each_plane(Filter2d<T> const& p, int z, F f)
 }
 
 template <class T>
-__global__ void __launch_bounds__(kThreads, 5)
-    filter_tile(__grid_constant__ Filter2d<T> const p, __grid_constant__ Tiles const tiles) {
+__device__ __forceinline__ void correlate_tile(Filter2d<T> const& p, Tiles const& tiles, unsigned block) {
   extern __shared__ __align__(16) float shared[];
   float *const tile = shared, *const all_weights = tile + tiles.rows * tiles.pitch;
   int* const sources = reinterpret_cast<int*>(all_weights + p.taps());
   float* const border_sums = reinterpret_cast<float*>(sources + tiles.rows);  // of volumes
-  int64_t const down = blockIdx.x / tiles.across, slice = down / tiles.down, step = p.y.step;
+  int64_t const down = block / tiles.across, slice = down / tiles.down, step = p.y.step;
   int64_t const plane = slice / step, channel = slice - plane * step;
-  int const x0 = int(blockIdx.x - down * tiles.across) * kWidth, y0 = int(down - slice * tiles.down) * kHeight;
+  int const x0 = int(block - down * tiles.across) * kWidth, y0 = int(down - slice * tiles.down) * kHeight;
   int const width = int(p.y.width), height = int(p.y.height), z = int(plane % p.depth);
   int const kx = p.axis_x.size, ky = p.axis_y.size;
   bool const is_volume = p.axis_z.size > 1, accumulates = p.accumulation != Border::constant;
@@ -166,6 +168,34 @@ __global__ void __launch_bounds__(kThreads, 5)
 }
 
 template <class T>
+__global__ void __launch_bounds__(kThreads, 5)
+    filter_tile(__grid_constant__ Filter2d<T> const p, __grid_constant__ Tiles const tiles) {
+  correlate_tile(p, tiles, blockIdx.x);
+}
+template <class T>
+__global__ void __launch_bounds__(kThreads, 5)
+    filter_tile_of_list(__grid_constant__ Filter2dList<T> const list, __grid_constant__ Tiles const tiles) {
+  unsigned block;
+  Filter2d<T> const* const p = sample_of_block(list, block);
+  if (p) correlate_tile(*p, tiles.of(p->y), block);
+}
+
+template <class T>
+int launch_tiles(Filter2dList<T> const& p, Tiles const& tiles, int64_t bytes, CUstream_st* stream) {
+  if (int const error =
+          cudaFuncSetAttribute(filter_tile_of_list<T>, cudaFuncAttributeMaxDynamicSharedMemorySize, int(bytes)))
+    return error;
+  return launch_list(
+      p,
+      [](Filter2d<T> const& one) {
+        return one.y.count() * one.y.step * ceil_div(one.y.width, kWidth) * ceil_div(one.y.height, kHeight);
+      },
+      [&](Filter2dList<T> const& list, unsigned blocks) {
+        filter_tile_of_list<T><<<blocks, kThreads, bytes, stream>>>(list, tiles);
+      });
+}
+
+template <class T>
 int launch_tiles(Filter2d<T> const& p, Tiles const& tiles, int64_t bytes, CUstream_st* stream) {
   int64_t const blocks = p.y.count() * p.y.step * tiles.across * tiles.down;
   if (int const error = cudaFuncSetAttribute(filter_tile<T>, cudaFuncAttributeMaxDynamicSharedMemorySize, int(bytes)))
@@ -176,9 +206,9 @@ int launch_tiles(Filter2d<T> const& p, Tiles const& tiles, int64_t bytes, CUstre
 
 // One thread for each element.
 template <class T>
-__global__ void filter_any(__grid_constant__ Filter2d<T> const p) {
+__device__ __forceinline__ void correlate_any(Filter2d<T> const& p, unsigned block) {
   using F = Compute<T>;
-  int64_t const index = int64_t(blockIdx.x) * blockDim.x + threadIdx.x, size = p.y.row_size(), step = p.y.step;
+  int64_t const index = int64_t(block) * blockDim.x + threadIdx.x, size = p.y.row_size(), step = p.y.step;
   if (index >= p.y.rows() * size) return;
   int64_t const row = index / size, e = index - row * size, plane = row / p.y.height, channel = e % step;
   int const x = int(e / step), y = int(row - plane * p.y.height), z = int(plane % p.depth);
@@ -206,12 +236,21 @@ __global__ void filter_any(__grid_constant__ Filter2d<T> const p) {
   p.y.row(plane, y)[e] = round_to<T>(sum);
 }
 
-}  // namespace
-
 template <class T>
-int filter2d(Filter2d<T> const& p, CUstream_st* stream) {
+__global__ void filter_any(__grid_constant__ Filter2d<T> const p) {
+  correlate_any(p, blockIdx.x);
+}
+template <class T>
+__global__ void filter_any_of_list(__grid_constant__ Filter2dList<T> const list) {
+  unsigned block;
+  Filter2d<T> const* const p = sample_of_block(list, block);
+  if (p) correlate_any(*p, block);
+}
+
+// By tiles, if these serve a filter `p` of images like x and y. `work`: p or a list of such.
+template <class T, class Work>
+bool try_tiles(Filter2d<T> const& p, Work const& work, CUstream_st* stream, int& error) {
   if constexpr (!__is_same(T, double)) {
-    if (try_filter2d_strips(p, stream)) return cudaGetLastError();
     // The border is accumulated within a tile: it must hold all pixels that a border pixel needs.
     bool const accumulates = p.accumulation != Border::constant;
     auto const after = [&](KernelAxis axis) { return max(axis.size - 1 - axis.before, accumulates ? axis.before : 0); };
@@ -224,12 +263,36 @@ int filter2d(Filter2d<T> const& p, CUstream_st* stream) {
                                                                  : 0,
                   bytes = tiles.bytes(p.taps() + border_sums);
     // Special case, H200: 12 (filter2d_11x11 backward) to 24 (filter2d_11x11) times as fast as a thread an element.
-    if (fits_tile && bytes <= max_shared_bytes(kMaxSharedBytes)) return launch_tiles(p, tiles, bytes, stream);
+    if (!fits_tile || bytes > max_shared_bytes(kMaxSharedBytes)) return false;
+    error = launch_tiles(work, tiles, bytes, stream);
+    return true;
   }
+  return false;
+}
+
+}  // namespace
+
+template <class T>
+int filter2d(Filter2d<T> const& p, CUstream_st* stream) {
+  if constexpr (!__is_same(T, double))
+    if (try_filter2d_strips(p, stream)) return cudaGetLastError();
+  if (int error; try_tiles(p, p, stream, error)) return error;
   filter_any<<<unsigned(ceil_div(p.y.rows() * p.y.row_size(), 256)), 256, 0, stream>>>(p);
   return cudaGetLastError();
 }
 
+template <class T>
+int filter2d_list(Filter2dList<T> const& p, CUstream_st* stream) {
+  int error = 0;
+  if constexpr (!__is_same(T, double))
+    if (try_filter2d_strips(p, stream, error)) return error;
+  if (try_tiles(p.sample(0), p, stream, error)) return error;
+  return launch_list(
+      p, [](Filter2d<T> const& one) { return ceil_div(one.y.rows() * one.y.row_size(), 256); },
+      [&](Filter2dList<T> const& list, unsigned blocks) { filter_any_of_list<T><<<blocks, 256, 0, stream>>>(list); });
+}
+
 KV_INSTANTIATE_WITH_BYTES(filter2d, Filter2d)
+KV_INSTANTIATE_WITH_BYTES(filter2d_list, Filter2dList)
 
 }  // namespace kv::filters::cuda

@@ -3,6 +3,7 @@
 #pragma once
 
 #include "core/border.h"
+#include "core/filter_list.h"
 #include "core/isa.h"
 #include "core/view.h"
 
@@ -32,7 +33,12 @@ struct Filter2d {
 
   KV_HD int taps() const { return axis_z.size * axis_y.size * axis_x.size; }
   KV_HD Compute<T> const* kernel_of(int64_t plane) const { return kernel + plane / sample_planes * kernel_stride; }
+  KV_HD void select(int64_t sample) { kernel += sample * kernel_stride; }
 };
+
+// Of images.
+template <class T>
+struct Filter2dList : FilterList<Filter2d<T>, T> {};
 
 // The gradient to the kernel: for each tap the sum of the gradient's pixels times the pixels that the tap reads. Planes
 // are divided into parts of a few rows of the gradient. The partial sums of a sample are then added in a fixed order.
@@ -59,6 +65,7 @@ struct SumPartials {
 };
 
 KV_KERNEL(filter2d, Filter2d)
+KV_KERNEL(filter2d_list, Filter2dList)
 KV_KERNEL(filter2d_kernel_backward, Filter2dKernelBackward)
 KV_KERNEL(sum_partials, SumPartials)
 

@@ -264,6 +264,13 @@ void filter2d(Filter2d<T> const& p, int64_t begin, int64_t end) {
   }
 }
 
+template <class T>
+void filter2d_list(Filter2dList<T> const& p, int64_t begin, int64_t end) {
+  filter_items(p, begin, end,
+               [](Filter2d<T> const& one, int64_t first, int64_t last) { KV_ISA::filter2d(one, first, last); });
+}
+
 KV_INSTANTIATE_WITH_BYTES(filter2d, Filter2d)
+KV_INSTANTIATE_WITH_BYTES(filter2d_list, Filter2dList)
 
 }  // namespace kv::filters::KV_ISA

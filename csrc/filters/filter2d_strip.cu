@@ -8,6 +8,7 @@
 // of a row have the pixels and weights for it in registers. Along y, rows near the border wait in shared memory until
 // the rows out of bounds that they receive are complete.
 
+#include "core/filter_list.cuh"
 #include "core/row_prefetcher.cuh"
 #include "filter2d.h"
 
@@ -38,14 +39,14 @@ struct alignas(16) StripMemory {
 
 // `aligned`: rows of input and output are vectors of P pixels that start at the same columns.
 template <class T, int K, int P, bool Accumulates, class Aligned>
-__global__ void __launch_bounds__(32 * kWarps, kResident<K, P>)
-    filter_strip(__grid_constant__ Filter2d<T> const p, __grid_constant__ Strips<P> const strips, Aligned aligned) {
+__device__ __forceinline__ void correlate_strip(Filter2d<T> const& p, Strips<P> const& strips, unsigned block,
+                                                Aligned aligned) {
   constexpr int R = K / 2;
   __shared__ StripMemory<T, K, P, Accumulates, Aligned> memory[kWarps];
   StripMemory<T, K, P, Accumulates, Aligned>& shared = memory[threadIdx.x / 32];
   int64_t plane;
   int x, y0;
-  if (!strips.locate(plane, x, y0)) return;
+  if (!strips.locate(block, plane, x, y0)) return;
   int const lane = threadIdx.x % 32, x0 = x - P * lane, above = p.axis_y.before;
   int const width = int(p.y.width), height = int(p.y.height), y1 = min(y0 + int(strips.rows), height);
 
@@ -143,6 +144,29 @@ __global__ void __launch_bounds__(32 * kWarps, kResident<K, P>)
   }
 }
 
+template <class T, int K, int P, bool Accumulates, class Aligned>
+__global__ void __launch_bounds__(32 * kWarps, kResident<K, P>)
+    filter_strip(__grid_constant__ Filter2d<T> const p, __grid_constant__ Strips<P> const strips, Aligned aligned) {
+  correlate_strip<T, K, P, Accumulates>(p, strips, blockIdx.x, aligned);
+}
+
+// The strips of an image. Where sums are accumulated its last row and all rows that it receives are in one of them.
+template <class T, int K, int P>
+KV_HD Strips<P> strips_of(Filter2d<T> const& p, bool accumulates) {
+  int rows = kStripRows<K, P>;
+  int const height = int(p.y.height);
+  while (accumulates && height % rows > 0 && height % rows <= K / 2) ++rows;
+  return {p.y.count(), p.y.height, p.y.width, rows};
+}
+
+template <class T, int K, int P, bool Accumulates>
+__global__ void __launch_bounds__(32 * kWarps, kResident<K, P>)
+    filter_strip_of_list(__grid_constant__ Filter2dList<T> const list) {
+  unsigned block;
+  Filter2d<T> const* const p = sample_of_block(list, block);
+  if (p) correlate_strip<T, K, P, Accumulates>(*p, strips_of<T, K, P>(*p, Accumulates), block, std::false_type{});
+}
+
 // Special case, H200: 1.7 (7 x 7) to 4.0 (3 x 3 backward) times as fast as tiles.
 template <int K, class T>
 bool launch_strips(Filter2d<T> const& p, CUstream_st* stream) {
@@ -151,10 +175,7 @@ bool launch_strips(Filter2d<T> const& p, CUstream_st* stream) {
   bool const centered = p.axis_x.before == R && p.axis_y.before == R;
   bool const aligned = centered && is_vectorizable<P>(p.x) && is_vectorizable<P>(p.y);
   if (accumulates && (!centered || p.y.height < 2 * (R + 1))) return false;  // rows near both borders are not supported
-  int rows = kStripRows<K, P>;
-  while (accumulates && p.y.height % rows > 0 && p.y.height % rows <= R)
-    ++rows;  // the last row and all rows that it receives are in one strip
-  Strips<P> const strips(p.y.count(), p.y.height, p.y.width, rows);
+  Strips<P> const strips = strips_of<T, K, P>(p, accumulates);
   auto const launch = [&](auto accumulates) {
     with_alignment<T>(aligned, [&](auto aligned) {
       filter_strip<T, K, P, accumulates><<<strips.blocks(kWarps), 32 * kWarps, 0, stream>>>(p, strips, aligned);
@@ -166,15 +187,59 @@ bool launch_strips(Filter2d<T> const& p, CUstream_st* stream) {
   return true;
 }
 
+template <int K, class T>
+bool launch_strips(Filter2dList<T> const& p, CUstream_st* stream, int& error) {
+  constexpr int P = kStripPixels<T, K>, R = K / 2;
+  bool const accumulates = p.all.accumulation != Border::constant;
+  bool const centered = p.all.axis_x.before == R && p.all.axis_y.before == R;
+  if (accumulates && (!centered || !all_samples(p, [](Filter2d<T> const& one) { return one.y.height >= 2 * (R + 1); })))
+    return false;
+  auto const launch = [&](auto accumulates) {
+    error = launch_list(
+        p,
+        [](Filter2d<T> const& one) {
+          return strips_of<T, K, kStripPixels<T, K>>(one, decltype(accumulates)::value).blocks(kWarps);
+        },
+        [&](Filter2dList<T> const& list, unsigned blocks) {
+          filter_strip_of_list<T, K, kStripPixels<T, K>, decltype(accumulates)::value>
+              <<<blocks, 32 * kWarps, 0, stream>>>(list);
+        });
+  };
+  if constexpr (sizeof(T) > 1)
+    if (accumulates) return launch(std::true_type{}), true;
+  launch(std::false_type{});
+  return true;
+}
+
+// `work`: p or a list of such, and what launching it takes.
+template <class T, class... Work>
+bool launch_strips_of_size(Filter2d<T> const& p, Work&... work) {
+  if (p.axis_z.size != 1 || p.axis_x.size != p.axis_y.size) return false;
+  return (p.axis_x.size == 3 && launch_strips<3>(work...)) || (p.axis_x.size == 5 && launch_strips<5>(work...)) ||
+         (p.axis_x.size == 7 && launch_strips<7>(work...));
+}
+
+template <class T>
+bool is_strippable(Planes<T const> const& x) {
+  return x.step == 1 && x.row_stride * int64_t(sizeof(T)) <= INT32_MAX && x.width <= INT32_MAX / 2;
+}
+
 }  // namespace
 
 template <class T>
 bool try_filter2d_strips(Filter2d<T> const& p, CUstream_st* stream) {
-  bool const square = p.axis_z.size == 1 && p.axis_x.size == p.axis_y.size, planar = p.x.step == 1;
-  if (!square || !planar || p.x.row_stride * int64_t(sizeof(T)) > INT32_MAX || p.x.width > INT32_MAX / 2) return false;
-  return (p.axis_x.size == 3 && launch_strips<3>(p, stream)) || (p.axis_x.size == 5 && launch_strips<5>(p, stream)) ||
-         (p.axis_x.size == 7 && launch_strips<7>(p, stream));
+  return is_strippable(p.x) && launch_strips_of_size(p, p, stream);
 }
+template <class T>
+bool try_filter2d_strips(Filter2dList<T> const& p, CUstream_st* stream, int& error) {
+  return all_samples(p, [](Filter2d<T> const& one) { return is_strippable(one.x); }) &&
+         launch_strips_of_size(p.all, p, stream, error);
+}
+
+template bool try_filter2d_strips(Filter2dList<float> const&, CUstream_st*, int&);
+template bool try_filter2d_strips(Filter2dList<Half> const&, CUstream_st*, int&);
+template bool try_filter2d_strips(Filter2dList<BFloat16> const&, CUstream_st*, int&);
+template bool try_filter2d_strips(Filter2dList<uint8_t> const&, CUstream_st*, int&);
 
 template bool try_filter2d_strips(Filter2d<float> const&, CUstream_st*);
 template bool try_filter2d_strips(Filter2d<Half> const&, CUstream_st*);

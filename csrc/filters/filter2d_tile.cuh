@@ -27,6 +27,14 @@ struct Tiles {
         pitch(lead + (kWidth + after + 7) / 8 * 8),
         rows(kHeight + rows),
         vectorized(is_vectorizable<kPixels<T>>(read)) {}
+  // Those of an image of another size whose rows begin anywhere.
+  template <class U>
+  __device__ __forceinline__ Tiles of(Planes<U> const& p) const {
+    Tiles own = *this;
+    own.across = (int(p.width) + kWidth - 1) / kWidth, own.down = (int(p.height) + kHeight - 1) / kHeight;
+    own.vectorized = false;
+    return own;
+  }
   int64_t bytes(int64_t numbers) const { return 4 * (int64_t(pitch) * rows + rows + numbers); }
 };
 

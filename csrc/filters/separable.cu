@@ -301,8 +301,8 @@ int launch_tiles(SeparableList<T> p, bool reflect_backward, CUstream_st* stream)
     return error;
   if (reflect_backward) p.all.border = Border::reflect;
   auto const columns_of = [](Separable<T> const& one) { return one.y.count() * ceil_div(one.y.width, kTileWidth); };
-  int const rows = strip_height(sum_of_samples(p, columns_of), largest_height(p), max(p.all.ky.size, 8), resident,
-                                resident);
+  int const rows =
+      strip_height(sum_of_samples(p, columns_of), largest_height(p), max(p.all.ky.size, 8), resident, resident);
   return launch_list(
       p, [&](Separable<T> const& one) { return columns_of(one) * ceil_div(one.y.height, rows); },
       [&](SeparableList<T> const& list, unsigned blocks) {

@@ -274,9 +274,7 @@ int launch_strip(SeparableList<T> p, float divisor, CUstream_st* stream) {
   int const rows = rows_per_strip<K, P>(columns, largest_height(p), kResident<K, P>);
   return launch_list(
       p,
-      [&](Separable<T> const& one) {
-        return Strips<P>(one.y.count(), one.y.height, one.y.width, rows).blocks(kWarps);
-      },
+      [&](Separable<T> const& one) { return Strips<P>(one.y.count(), one.y.height, one.y.width, rows).blocks(kWarps); },
       [&](SeparableList<T> const& list, unsigned blocks) {
         separable_strip_of_list<T, K, P, ReflectBackward><<<blocks, 32 * kWarps, 0, stream>>>(list, rows, divisor);
       });

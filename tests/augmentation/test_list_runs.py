@@ -31,8 +31,13 @@ PASSES = {
     "lines": lambda: (A.GridMask(rotation_range=(-0.4, 0.4), p=0.7),),
     "units": lambda: (A.GridDropout(0.4, unit_size_range=(3, 9), p=0.7), A.GridDropout(p=0.7)),
     "gaussian": lambda: (A.RandomGaussianBlur((3, 5), (0.3, 2.0), p=0.7), A.RandomGaussianBlur(5, (0.5, 2.0), "replicate")),
+    "gaussian": lambda: (
+        A.RandomGaussianBlur((3, 5), (0.3, 2.0), p=0.7),
+        A.RandomGaussianBlur(5, (0.5, 2.0), "replicate"),
+    ),
     "box": lambda: (A.RandomBoxBlur(p=0.7), A.RandomBoxBlur((3, 2), "circular", p=1.0), A.RandomHorizontalFlip()),
     "median": lambda: (A.RandomMedianBlur(p=0.7), A.RandomMedianBlur((5, 5)), A.RandomMedianBlur((2, 3), p=1.0)),
+    "disks": lambda: (A.Defocus((1, 2), p=0.7), A.Defocus((1, 3), p=0.7)),
     "late crop": lambda: (A.RandomHorizontalFlip(), A.RandomResizedCrop((12, 14)), A.ColorJitter(0.2, 0.2)),
 }
 
@@ -41,12 +46,14 @@ PASSES = {
 NOISES = {
     "normal": lambda: (A.RandomAffine(20.0), A.RandomGaussianNoise(std=0.2, p=0.7), A.RandomHorizontalFlip()),
     "salt": lambda: (A.RandomSaltAndPepperNoise(0.2, p=0.7),),
+    "motion": lambda: (A.RandomMotionBlur(5, 30.0, 0.5, p=0.7), A.RandomMotionBlur(3, 30.0, 0.5, "reflect", p=1.0)),
     "factors": lambda: (A.SpeckleNoise(p=0.7), A.MultiplicativeNoise(per_channel=True, elementwise=True, p=1.0)),
     "dropped": lambda: (A.PixelDropout(0.2, p=0.7), A.PixelDropout(0.2, True, "random", p=0.7)),
     "photons": lambda: (A.ShotNoise(p=0.7), A.RandomHorizontalFlip()),
     "sensor": lambda: (A.ISONoise(p=0.7),),
     "late": lambda: (A.RandomErasing(), A.RandomResizedCrop((12, 14)), A.RandomErasing(), A.SpeckleNoise(p=1.0)),
 }
+BLURS = ("gaussian", "box", "median", "disks", "motion")
 PASSES_AND_NOISES = {**PASSES, **NOISES}
 
 
@@ -144,7 +151,7 @@ def test_results_in_another_type(device):
     assert not is_by_passes(A.ImageSequential(augment))
 
 
-@pytest.mark.parametrize("name", ["flips", "affine", "everything", "erasing", "factors", "gaussian", "box", "median"])
+@pytest.mark.parametrize("name", ["flips", "affine", "everything", "erasing", "factors", *BLURS])
 def test_as_many_launches_as_a_batch(name):
     """With contrast two more where the planes of some images begin between vectors: no cluster of blocks keeps these."""
     if not torch.cuda.is_available():

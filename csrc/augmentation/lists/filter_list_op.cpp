@@ -1,6 +1,7 @@
 // Filters of lists of images of different sizes, whose results have the sizes of the images: schemas and entries, for
 // CPU and CUDA.
 #include "augmentation/noise_glue.h"
+#include "filters/filter2d.h"
 #include "filters/separable_glue.h"
 #include "filters/smoothing/box_glue.h"
 #include "filters/smoothing/median.h"
@@ -13,6 +14,10 @@ namespace {
 template <class T>
 void run([[maybe_unused]] Tensor const& like, SeparableList<T> const& p, [[maybe_unused]] int64_t cost) {
   KV_RUN(separable_list, like, p, p.list.items, cost);
+}
+template <class T>
+void run([[maybe_unused]] Tensor const& like, Filter2dList<T> const& p, [[maybe_unused]] int64_t cost) {
+  KV_RUN(filter2d_list, like, p, p.list.items, cost);
 }
 template <class T>
 void run([[maybe_unused]] Tensor const& like, BoxList<T> const& p, [[maybe_unused]] int64_t cost) {
@@ -91,8 +96,8 @@ Tensors gaussian_list(char const* op, Tensors const& images, OptionalTensor cons
   filters::AxisWeights const weights_x{tensor, kx, true, 1, sigma_x}, weights_y{tensor, ky, true, 0, sigma_y};
   dispatch_floating_and_uint8(op, like, [&]<class T>(Type<T>) {
     auto const all = filters::separable_of<T>(weights_x, weights_y, border, true, transposed, list.planes());
-    list.filter<filters::SeparableList<T>>(
-        all, ceil_div(kx + ky, 4), [&](auto const& p, int64_t cost) { filters::run(like, p, cost); });
+    list.filter<filters::SeparableList<T>>(all, ceil_div(kx + ky, 4),
+                                           [&](auto const& p, int64_t cost) { filters::run(like, p, cost); });
   });
   return list.kept.results;
 }
@@ -138,6 +143,49 @@ Tensors box_blur_backward_list(Tensors const& grads, OptionalTensor const& chose
   return box_list<true>("box_blur_backward_list", grads, chosen, ky, kx, border);
 }
 
+// Kernels (B or 1, y, x) of the type that is computed in.
+Tensors filter_list(char const* op, Tensors const& images, OptionalTensor const& chosen, Tensor const& kernel,
+                    int64_t border_number, bool same, bool transposed) {
+  ListedImages const list(op, images, chosen);
+  Tensor const& like = list.like();
+  KV_CHECK(same, op, ": expected results of the sizes of the images");
+  KV_CHECK(kernel.dim() == 3 && (kernel.size(0) == 1 || kernel.size(0) == like.size(0)) &&
+               kernel.scalar_type() == compute_dtype(like) && kernel.device() == like.device(),
+           op,
+           ": expected kernel of shape (B or 1, y, x), of the type that is computed in, on the device of the images");
+  Border const border = to_border(op, border_number);
+  int64_t const ky = kernel.size(1), kx = kernel.size(2);
+  list.check_window_fits(border, ky, kx);
+  Tensor const weights = dense(kernel);
+  bool const accumulates = transposed && border != Border::circular;
+  auto const axis = [&](int64_t size) {
+    return filters::KernelAxis{int(size), int(transposed ? size / 2 : (size - 1) / 2)};
+  };
+  dispatch_floating_and_uint8(op, like, [&]<class T>(Type<T>) {
+    filters::Filter2d<T> all{};
+    all.kernel = data_ptr<Compute<T> const>(weights);
+    all.kernel_stride = kernel.size(0) == 1 ? 0 : ky * kx;
+    all.sample_planes = list.planes();
+    all.depth = 1;
+    all.axis_z = {1, 0}, all.axis_y = axis(ky), all.axis_x = axis(kx);
+    all.flip = transposed;
+    all.border = accumulates ? Border::constant : border;
+    all.accumulation = accumulates ? border : Border::constant;
+    list.filter<filters::Filter2dList<T>>(all, 1 + ky * kx / 4,
+                                          [&](auto const& p, int64_t cost) { filters::run(like, p, cost); });
+  });
+  return list.kept.results;
+}
+
+Tensors filter2d_list(Tensors const& images, OptionalTensor const& chosen, Tensor const& kernel, int64_t border,
+                      bool same) {
+  return filter_list("filter2d_list", images, chosen, kernel, border, same, false);
+}
+Tensors filter2d_backward_list(Tensors const& grads, OptionalTensor const& chosen, Tensor const& kernel, int64_t border,
+                               bool same) {
+  return filter_list("filter2d_backward_list", grads, chosen, kernel, border, same, true);
+}
+
 Tensors median_blur_list(Tensors const& images, OptionalTensor const& chosen, int64_t ky, int64_t kx,
                          int64_t border_number) {
   constexpr char const* op = "median_blur_list";
@@ -147,8 +195,8 @@ Tensors median_blur_list(Tensors const& images, OptionalTensor const& chosen, in
   list.check_window_fits(border, ky, kx);
   dispatch_floating_and_uint8(op, like, [&]<class T>(Type<T>) {
     filters::MedianBlur<T> const all{{}, {}, ky, kx, border};
-    list.filter<filters::MedianBlurList<T>>(
-        all, ceil_div(kx * ky, 4), [&](auto const& p, int64_t cost) { filters::run(like, p, cost); });
+    list.filter<filters::MedianBlurList<T>>(all, ceil_div(kx * ky, 4),
+                                            [&](auto const& p, int64_t cost) { filters::run(like, p, cost); });
   });
   return list.kept.results;
 }
@@ -157,10 +205,14 @@ Tensors median_blur_list(Tensors const& images, OptionalTensor const& chosen, in
 
 // `chosen` (B,) float32: images whose value is 0 stay as they are. What follows are the arguments of the operators on
 // batches.
-#define KV_GAUSSIAN "Tensor? chosen, Tensor? sigma, int ky, int kx, float sigma_y, float sigma_x, int border) -> Tensor[]"
+#define KV_GAUSSIAN \
+  "Tensor? chosen, Tensor? sigma, int ky, int kx, float sigma_y, float sigma_x, int border) -> Tensor[]"
 KV_OPERATOR(gaussian_blur2d_list, "(Tensor[] images, " KV_GAUSSIAN)
 KV_OPERATOR(gaussian_blur2d_backward_list, "(Tensor[] grads, " KV_GAUSSIAN)
 #undef KV_GAUSSIAN
+KV_OPERATOR(filter2d_list, "(Tensor[] images, Tensor? chosen, Tensor kernel, int border, bool same) -> Tensor[]")
+KV_OPERATOR(filter2d_backward_list,
+            "(Tensor[] grads, Tensor? chosen, Tensor kernel, int border, bool same) -> Tensor[]")
 KV_OPERATOR(box_blur_list, "(Tensor[] images, Tensor? chosen, int ky, int kx, int border) -> Tensor[]")
 KV_OPERATOR(median_blur_list, "(Tensor[] images, Tensor? chosen, int ky, int kx, int border) -> Tensor[]")
 KV_OPERATOR(box_blur_backward_list, "(Tensor[] grads, Tensor? chosen, int ky, int kx, int border) -> Tensor[]")

@@ -26,9 +26,10 @@ struct ColumnGroups {
   // Fewer rows where the images would not occupy the GPU. The groups before the last one of a row end `reach` pixels
   // before it: what they read on either side is in bounds, but for the first group.
   ColumnGroups(int64_t planes, int64_t height, int64_t width, int most_rows, int reach)
-      : ColumnGroups(planes, height, width,
-                     busy_rows(most_rows, [&](int rows) { return planes * ceil_div(width, P) * ceil_div(height, rows); }),
-                     reach, Threads) {
+      : ColumnGroups(
+            planes, height, width,
+            busy_rows(most_rows, [&](int rows) { return planes * ceil_div(width, P) * ceil_div(height, rows); }), reach,
+            Threads) {
     threads = unsigned(min(ceil_div(int64_t(groups), 32) * 32, int64_t(Threads)));
   }
   KV_HD ColumnGroups(int64_t planes, int64_t height, int64_t width, int rows, int reach, int threads)

@@ -380,9 +380,7 @@ int median_blur_list(MedianBlurList<T> const& p, CUstream_st* stream) {
   if (is_square && p.all.kx == 5) return launch_network<5, 2>(p, stream);
   return launch_list(
       p, [](MedianBlur<T> const& one) { return ceil_div(one.x.rows() * one.x.row_size(), 256); },
-      [&](MedianBlurList<T> const& list, unsigned blocks) {
-        median_any_of_list<T><<<blocks, 256, 0, stream>>>(list);
-      });
+      [&](MedianBlurList<T> const& list, unsigned blocks) { median_any_of_list<T><<<blocks, 256, 0, stream>>>(list); });
 }
 
 template <class T>

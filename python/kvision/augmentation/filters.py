@@ -13,6 +13,7 @@ from kvision import _check, enhance, filters
 from kvision._choices import Border
 from kvision._clamp import clamp
 from kvision._modes import BORDER
+from kvision._ops import Operator
 from kvision.augmentation.engine import AugmentationBase, Execution, Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
 from kvision.augmentation.keys import refuse_mapped
@@ -24,7 +25,9 @@ from kvision.augmentation.random_generator.filters import (
 from kvision.augmentation.random_generator.plain import PlainUniformGenerator
 from kvision.augmentation.ranges import Numbers
 from kvision.constants import AnyBorderType, AnyResample, BorderType, Resample
+from kvision.filters.filter2d import _filter2d, _filter2d_backward, _kernel_backward
 from kvision.filters.smoothing import box, gaussian, median
+from kvision.filters.smoothing.motion import motion_arguments
 from kvision.geometry.transform.lists.arguments import row
 from kvision.geometry.transform.lists.kept_sizes import Operation, register_filter
 
@@ -271,6 +274,18 @@ class RandomMotionBlur(DrawnKernelSize, IntensityAugmentationBase2D, keeps_contr
         border = border_name(flags["border_type"])
         return self._blurred(input, params, partial(filters.motion_blur, border_type=border, mode=mode))
 
+    filters_chosen = True
+
+    def _operates_on(self, dtype: torch.dtype) -> bool:
+        return self._param_generator._has_one_size and super()._operates_on(dtype)
+
+    def _operation(self, like: Tensor, params: Params) -> Operation:
+        size = self._param_generator._sizes[0]
+        line = size, params["angle_factor"], params["direction_factor"]
+        mode: Any = Resample.get(self.flags["resample"]).name.lower()
+        border = border_name(self.flags["border_type"])
+        return Operation(_filter2d, motion_arguments("RandomMotionBlur", like, *line, border, mode)[1:])
+
 
 class RandomSharpness(IntensityAugmentationBase2D, keeps_contract=True):
     """Sharpen images by a random factor.
@@ -486,6 +501,10 @@ def border_name(border: Any) -> Any:
 # --- lists ----------------------------------------------------------------------------------------------------------
 
 
+def _kernel_gradients(needs: Any, grad: Tensor, x: Tensor, kernel: Tensor, *rest: Any) -> list[Tensor | None]:
+    return [None, _kernel_backward(kernel, grad, x, *rest)]
+
+
 def _sigma_gradients(needs: Any, grad: Tensor, x: Tensor, *blur: Any) -> list[Tensor | None]:
     return [None, gaussian.sigma_gradient(grad, x, *blur)]
 
@@ -494,11 +513,20 @@ def _median_gradients(needs: Any, grad: Tensor, x: Tensor, *window: Any) -> list
     return [median._backward(grad, x, median._median_blur(x, *window), *window)]
 
 
-for of, transposed in ((box._box_blur, box._transposed), (box._transposed, box._box_blur)):
-    register_filter(of, lambda b, *window: window, lambda *_: [None], transposed)
+def _register_linear(of: Operator, transposed: Operator, gradients: Callable[..., Any] | None = None) -> None:
+    """A linear filter and its transpose, whose first arguments are None or a tensor that `gradients` has the gradient of."""
+
+    def of_sample(b: int, *args: Any) -> tuple[Any, ...]:
+        return args if gradients is None else (row(args[0], b), *args[1:])
+
+    def others(needs: Any, grad: Tensor, x: Tensor, *args: Any) -> Any:
+        return [None] if gradients is None else gradients(needs, grad, x, *args)
+
+    register_filter(of, of_sample, others, transposed)
+    register_filter(transposed, of_sample, lambda needs, grad, x, *args: others(needs, x, grad, *args), of)
+
+
+_register_linear(box._box_blur, box._transposed)
+_register_linear(gaussian._gaussian_blur2d, gaussian._transposed, _sigma_gradients)
+_register_linear(_filter2d, _filter2d_backward, _kernel_gradients)
 register_filter(median._median_blur, lambda b, *window: window, _median_gradients)
-for of, transposed, gradients in (
-    (gaussian._gaussian_blur2d, gaussian._transposed, _sigma_gradients),
-    (gaussian._transposed, gaussian._gaussian_blur2d, lambda needs, g, x, *blur: _sigma_gradients(needs, x, g, *blur)),
-):
-    register_filter(of, lambda b, sigma, *rest: (row(sigma, b), *rest), gradients, transposed)

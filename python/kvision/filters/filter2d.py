@@ -57,8 +57,8 @@ def _size(x: Tensor, kernel: Tensor, sign: int) -> tuple[int, ...]:
     return (*x.shape[:2], *(n + sign * (k - 1) for n, k in zip(x.shape[2:], kernel.shape[1:])))
 
 
-def register_filter(name: str, bytes: bool = False) -> Operator:
-    """Register the filter `name` of images or volumes, its transpose and its gradient to the kernel; return the first.
+def register_filter(name: str, bytes: bool = False) -> tuple[Operator, Operator, Operator]:
+    """Register the filter `name` of images or volumes, its transpose and its gradient to the kernel, and return them.
 
     The three are the derivatives of each other: of the sum over pixels of grad * filter(x, kernel), they are the
     derivatives for grad, x and kernel.
@@ -71,23 +71,23 @@ def register_filter(name: str, bytes: bool = False) -> Operator:
         gradients=f"input: {name}_backward; kernel: {name}_kernel_backward",
         bytes=bytes,
     )
-    register(
+    transposed = register(
         f"{name}_backward",
         _transposed,
         fake=lambda grad, kernel, border, same: _size(grad, kernel, 0 if same else 1),
         gradients=f"grad: {name}(input=grad_grad); kernel: {name}_kernel_backward(input=grad_grad)",
     )
     # The kernel comes first: the gradient to it has its type, not that of the images. Its values do not matter.
-    register(
+    of_kernel = register(
         f"{name}_kernel_backward",
         _kernel_backward_reference,
         fake=lambda kernel, grad, x, border, same: (x.shape[0], *kernel.shape[1:]),
         gradients=f"grad: {name}(kernel=grad_grad); input: {name}_backward(kernel=grad_grad)",
     )
-    return forward
+    return forward, transposed, of_kernel
 
 
-_filter2d = register_filter("filter2d", bytes=True)
+_filter2d, _filter2d_backward, _kernel_backward = register_filter("filter2d", bytes=True)
 
 
 def filter2d(
@@ -200,11 +200,25 @@ def filter_images(
     behaviour: Behaviour,
 ) -> Tensor:
     """:func:`filter2d`, under the name of the function that was called."""
+    arguments = filter_arguments(op, input, kernel, border_type, normalized, padding, behaviour)
+    return _filter2d(*arguments)
+
+
+def filter_arguments(
+    op: str,
+    input: Tensor,
+    kernel: Tensor,
+    border_type: Border = "reflect",
+    normalized: bool = False,
+    padding: WindowPadding = "same",
+    behaviour: Behaviour = "corr",
+) -> tuple[Tensor, Tensor, int, bool]:
+    """The checked arguments of a filter as its operator takes them."""
     _check.images(op, "input", input)
     _check.shape(op, "kernel", kernel, "B or 1", "kH", "kW")
     kernel = prepare_kernel(op, input, kernel, normalized, behaviour)
     same = check_padding(op, input, kernel.shape[1:], border_type, padding)
-    return _filter2d(pixels(input), kernel, BORDER[border_type], same)
+    return pixels(input), kernel, BORDER[border_type], same
 
 
 def prepare_kernel(op: str, x: Tensor, kernel: Tensor, normalized: bool, behaviour: Behaviour) -> Tensor:

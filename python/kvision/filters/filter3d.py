@@ -10,7 +10,7 @@ from kvision._dtype import floats
 from kvision._modes import BORDER
 from kvision.filters.filter2d import check_padding, prepare_kernel, register_filter
 
-_filter3d = register_filter("filter3d")
+_filter3d, _, _ = register_filter("filter3d")
 
 
 def filter3d(

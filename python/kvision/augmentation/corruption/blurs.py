@@ -20,7 +20,8 @@ from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
 from kvision.augmentation.random_generator.mapped import MappedGenerator
 from kvision.augmentation.ranges import Numbers
 from kvision.core.exceptions import ValueCheckError
-from kvision.filters.filter2d import filter2d
+from kvision.filters.filter2d import _filter2d, filter2d, filter_arguments
+from kvision.geometry.transform.lists.kept_sizes import Operation
 
 
 def mean_of_enlargements(x: Tensor, largest: Tensor, step: Tensor, most: int) -> Tensor:
@@ -80,9 +81,15 @@ class Defocus(IntensityAugmentationBase2D, keeps_contract=True):
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
-        deviation = params["alias_blur"].to(input.device, compute_dtype(input))
-        radius = params["radius"].to(input.device, torch.int64)
-        return filter2d(input, disk_kernels(deviation, radius, self._largest))
+        return self._operation(input, params)(input)
+
+    filters_chosen = True
+
+    def _operation(self, like: Tensor, params: Params) -> Operation:
+        deviation = params["alias_blur"].to(like.device, compute_dtype(like))
+        radius = params["radius"].to(like.device, torch.int64)
+        disks = disk_kernels(deviation, radius, self._largest)
+        return Operation(_filter2d, filter_arguments("filter2d", like, disks)[1:])
 
 
 class RingingOvershoot(IntensityAugmentationBase2D, keeps_contract=True):

@@ -28,7 +28,9 @@ def _reference(x: Tensor, ky: int, kx: int, border: int) -> Tensor:
 
 
 _box_blur = register("box_blur", _reference, gradients="input: box_blur_backward", linear=True, bytes=True)
-_transposed = register("box_blur_backward", transpose(_reference), gradients="grad: box_blur(input=grad_grad)", linear=True)
+_transposed = register(
+    "box_blur_backward", transpose(_reference), gradients="grad: box_blur(input=grad_grad)", linear=True
+)
 
 
 def box_blur(

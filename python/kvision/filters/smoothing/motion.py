@@ -17,7 +17,7 @@ from kvision._modules import VOLUME, FunctionModule
 from kvision._ops import no_derivative, register
 from kvision._torch_compat import full
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
-from kvision.filters.filter2d import filter_images
+from kvision.filters.filter2d import _filter2d, filter_arguments
 from kvision.filters.filter3d import filter_volumes
 
 
@@ -115,9 +115,22 @@ def motion_blur(
         >>> K.filters.motion_blur(x, 3, 0.0, 0.0, "replicate")
         tensor([[[[0., 1., 1., 1., 0.]]]])
     """
-    _check.images("motion_blur", "input", input)
-    kernel = _motion_kernel("motion_blur", kernel_size, angle, direction, mode, 2, input)
-    return filter_images("motion_blur", input, kernel, border_type, False, "same", "corr")
+    return _filter2d(*motion_arguments("motion_blur", input, kernel_size, angle, direction, border_type, mode))
+
+
+def motion_arguments(
+    op: str,
+    input: Tensor,
+    kernel_size: int,
+    angle: Tensor | float,
+    direction: Tensor | float,
+    border_type: Border,
+    mode: Interpolation,
+) -> tuple[Tensor, Tensor, int, bool]:
+    """The checked arguments of a motion blur as :func:`filter2d`'s operator takes them."""
+    _check.images(op, "input", input)
+    kernel = _motion_kernel(op, kernel_size, angle, direction, mode, 2, input)
+    return filter_arguments(op, input, kernel, border_type)
 
 
 def motion_blur3d(

@@ -46,14 +46,13 @@ PASSES = {
 NOISES = {
     "normal": lambda: (A.RandomAffine(20.0), A.RandomGaussianNoise(std=0.2, p=0.7), A.RandomHorizontalFlip()),
     "salt": lambda: (A.RandomSaltAndPepperNoise(0.2, p=0.7),),
-    "motion": lambda: (A.RandomMotionBlur(5, 30.0, 0.5, p=0.7), A.RandomMotionBlur(3, 30.0, 0.5, "reflect", p=1.0)),
     "factors": lambda: (A.SpeckleNoise(p=0.7), A.MultiplicativeNoise(per_channel=True, elementwise=True, p=1.0)),
     "dropped": lambda: (A.PixelDropout(0.2, p=0.7), A.PixelDropout(0.2, True, "random", p=0.7)),
     "photons": lambda: (A.ShotNoise(p=0.7), A.RandomHorizontalFlip()),
     "sensor": lambda: (A.ISONoise(p=0.7),),
     "late": lambda: (A.RandomErasing(), A.RandomResizedCrop((12, 14)), A.RandomErasing(), A.SpeckleNoise(p=1.0)),
 }
-BLURS = ("gaussian", "box", "median", "disks", "motion")
+BLURS = ("gaussian", "box", "median", "disks")
 PASSES_AND_NOISES = {**PASSES, **NOISES}
 
 
@@ -108,6 +107,35 @@ def test_noise_of_a_list(name, dtype, device):
         assert all(torch.equal(a, b) for a, b in zip(results, batch))
         for a, b in zip(augment(equal, params=params), batch):
             assert_close(a, b, *((0, 1) if dtype == torch.uint8 else (2e-3, 2e-3)))
+
+
+@pytest.mark.parametrize("dtype", [torch.float16, torch.float32, torch.float64], ids=str)
+def test_motion_over_a_list(dtype, device):
+    augment = A.ImageSequential(
+        A.RandomMotionBlur(5, 30.0, 0.5, p=0.7), A.RandomMotionBlur(3, 30.0, 0.5, "reflect", p=1.0)
+    )
+    images = [x.requires_grad_() for x in pictures(device, SMALL, dtype)]
+    seeds = seeds_of(images)
+    results, weights = augment(images, seed=seeds), [torch.rand_like(x) for x in images]
+    assert is_by_passes(augment)
+    alone = [augment(x[None], seed=seeds[b : b + 1])[0] for b, x in enumerate(images)]
+    assert all(torch.equal(a, b) for a, b in zip(results, alone))
+    grads = [torch.autograd.grad(sum((y * w).sum() for y, w in zip(of, weights)), images) for of in (results, alone)]
+    for of_list, of_image in zip(*grads):
+        assert_close(of_list, of_image, 2e-3, 2e-3)
+    sizes = A.ImageSequential(A.RandomMotionBlur((3, 5), 30.0, 0.5, p=1.0))
+    assert len(sizes(images)) == 4 and not is_by_passes(sizes)
+
+
+def test_a_window_fits_the_smallest_image(device):
+    images = pictures(device, [(20, 30), (20, 3)])
+    for blur in (
+        A.RandomGaussianBlur((7, 7), (0.5, 1.0), p=1.0),
+        A.RandomBoxBlur((7, 7), p=1.0),
+        A.RandomMedianBlur((7, 7), p=1.0),
+    ):
+        with pytest.raises(ValueError, match="20, 3"):
+            blur(images)
 
 
 def test_masks_of_erased_images_of_a_list(device):
@@ -261,7 +289,7 @@ def test_a_cuda_graph_draws_again_for_a_list():
         replays.append([y.clone() for y in results])
     assert not any(torch.equal(a, b) for a, b in zip(*replays))
     with pytest.raises(RuntimeError, match="would repeat the draws"), torch.cuda.graph(torch.cuda.CUDAGraph()):
-        A.RandomGaussianBlur((3, 3), (0.1, 1.0))(images)
+        A.RandomSharpness()(images)
 
 
 def test_what_is_wrong_with_a_list_is_said_by_every_path(device):

@@ -9,6 +9,7 @@ import torch
 
 import kvision as K
 from kvision.core.exceptions import TypeCheckError
+from op_tests import assert_close
 
 C = K.color
 CODES = {
@@ -60,9 +61,13 @@ def test_codes_are_opencvs(space, array, device):
 @pytest.mark.parametrize("name", [*(f"rgb_to_{space}" for space in CODES), "rgb_to_linear_rgb", "linear_rgb_to_rgb"])
 def test_bytes_are_255ths(name, array, device):
     x = K.image_to_tensor(array).to(device)
-    y = getattr(C, name)(x)
-    assert y.dtype == torch.float32
-    assert torch.equal(y, getattr(C, name)(x.float() / 255))
+    expected = getattr(C, name)(x.float() / 255)
+    for layout in (torch.contiguous_format, torch.channels_last):
+        y = getattr(C, name)(x[None].contiguous(memory_format=layout))
+        assert y.dtype == torch.float32 and y.is_contiguous(memory_format=layout)
+        assert_close(
+            y[0], expected, 1e-5, 5e-4 if name in ("rgb_to_lab", "rgb_to_luv") else 1e-6
+        )  # of levels up to 100
 
 
 @pytest.mark.parametrize("space", CODES)

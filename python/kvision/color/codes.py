@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import torch
 from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import floats
+from kvision._leading import apply_on_batch
 from kvision.color.program import arguments, run
 from kvision.color.steps import STEPS
 from kvision.core.exceptions import TypeCheckError
@@ -16,9 +18,14 @@ from kvision.core.exceptions import TypeCheckError
 Three = tuple[float, float, float]
 
 
-def units(image: Tensor) -> Tensor:
-    """RGB images in floating point; bytes are 255ths, other integers are taken as they are."""
-    return image.float() / 255 if image.dtype == torch.uint8 else floats(image)
+def of_rgb(convert: Callable[..., Tensor], image: Tensor, *parameters: float) -> Tensor:
+    """`convert`, a step, of RGB images (*, 3, H, W), in floating point.
+
+    Bytes are 255ths, as the step reads them; other integers are taken as they are.
+    """
+    if image.dtype == torch.uint8:
+        return apply_on_batch(partial(convert, dtype=torch.float32), image, *parameters)
+    return apply_on_batch(convert, floats(image), *parameters)
 
 
 def values(op: str, image: Tensor) -> Tensor:

@@ -10,7 +10,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._leading import apply_on_batch
 from kvision._modules import FunctionModule
-from kvision.color.codes import are_codes, decoder, units, values
+from kvision.color.codes import are_codes, decoder, of_rgb, values
 from kvision.color.hue import hue, lack, quotient
 from kvision.color.program import step
 
@@ -79,7 +79,7 @@ def rgb_to_hsv(image: Tensor, eps: float = 1e-8, opencv: bool = False) -> Tensor
     eps = _check.number("rgb_to_hsv", "eps", eps, minimum=0)
     if are_codes("rgb_to_hsv", image, opencv):
         return apply_on_batch(_hsv_u8, image)
-    return apply_on_batch(_rgb_to_hsv, units(image), eps)
+    return of_rgb(_rgb_to_hsv, image, eps)
 
 
 def hsv_to_rgb(image: Tensor, opencv: bool = False) -> Tensor:

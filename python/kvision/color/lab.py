@@ -9,7 +9,7 @@ from kvision import _check
 from kvision._clamp import clamp
 from kvision._leading import apply_on_batch
 from kvision._modules import FunctionModule
-from kvision.color.codes import are_codes, decoder, encoder, units, values
+from kvision.color.codes import are_codes, decoder, encoder, of_rgb, values
 from kvision.color.linear import decoded, encoded
 from kvision.color.program import step
 from kvision.color.xyz import WHITE, rgb_of_xyz, xyz_of_rgb
@@ -71,7 +71,7 @@ def rgb_to_lab(image: Tensor, opencv: bool = False) -> Tensor:
     _check.channels("rgb_to_lab", "image", image, 3)
     if are_codes("rgb_to_lab", image, opencv):
         return apply_on_batch(_encode, image)
-    return apply_on_batch(_rgb_to_lab, units(image))
+    return of_rgb(_rgb_to_lab, image)
 
 
 def lab_to_rgb(image: Tensor, clip: bool = True, opencv: bool = False) -> Tensor:

@@ -7,8 +7,7 @@ from torch import Tensor, nn
 
 from kvision import _check
 from kvision._clamp import clamp
-from kvision._leading import apply_on_batch
-from kvision.color.codes import units
+from kvision.color.codes import of_rgb
 from kvision.color.program import step
 
 # The clamps keep the gradients of the root and the power finite where `where` selects the other branch.
@@ -51,7 +50,7 @@ def rgb_to_linear_rgb(image: Tensor) -> Tensor:
         tensor([0.0000, 0.2140, 1.0000])
     """
     _check.channels("rgb_to_linear_rgb", "image", image, 3)
-    return apply_on_batch(_rgb_to_linear_rgb, units(image))
+    return of_rgb(_rgb_to_linear_rgb, image)
 
 
 def linear_rgb_to_rgb(image: Tensor) -> Tensor:
@@ -75,7 +74,7 @@ def linear_rgb_to_rgb(image: Tensor) -> Tensor:
         tensor([0.0000, 0.5000, 1.0000])
     """
     _check.channels("linear_rgb_to_rgb", "image", image, 3)
-    return apply_on_batch(_linear_rgb_to_rgb, units(image))
+    return of_rgb(_linear_rgb_to_rgb, image)
 
 
 class RgbToLinearRgb(nn.Module):

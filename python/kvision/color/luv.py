@@ -9,7 +9,7 @@ from kvision import _check
 from kvision._clamp import clamp
 from kvision._leading import apply_on_batch
 from kvision._modules import FunctionModule
-from kvision.color.codes import are_codes, decoder, encoder, units, values
+from kvision.color.codes import are_codes, decoder, encoder, of_rgb, values
 from kvision.color.linear import decoded, encoded
 from kvision.color.program import step
 from kvision.color.xyz import WHITE, rgb_of_xyz, xyz_of_rgb
@@ -79,7 +79,7 @@ def rgb_to_luv(image: Tensor, eps: float = 1e-12, opencv: bool = False) -> Tenso
     eps = _check.number("rgb_to_luv", "eps", eps, minimum=0)
     if are_codes("rgb_to_luv", image, opencv):
         return apply_on_batch(_encode, image, eps)
-    return apply_on_batch(_rgb_to_luv, units(image), eps)
+    return of_rgb(_rgb_to_luv, image, eps)
 
 
 def luv_to_rgb(image: Tensor, eps: float = 1e-12, opencv: bool = False) -> Tensor:

@@ -41,12 +41,10 @@ def _affine(x: Tensor, *numbers: float) -> Tensor:
 _step = step("affine", _affine)
 
 
-def affine(
-    matrix: Matrix, offset: tuple[float, float, float] = (0, 0, 0), clip: bool = False
-) -> Callable[[Tensor], Tensor]:
-    """The function that mixes channels by `matrix`, adds `offset`, and may clip to [0, 1]."""
+def affine(matrix: Matrix, offset: tuple[float, float, float] = (0, 0, 0), clip: bool = False) -> Callable[..., Tensor]:
+    """The function that mixes channels by `matrix`, adds `offset`, and may clip to [0, 1]; called as a step."""
     numbers = affine_numbers(matrix, offset, clip)
-    return lambda x: _step(x, *numbers)
+    return lambda x, dtype=None: _step(x, *numbers, dtype=dtype)
 
 
 def affine_numbers(matrix: Matrix, offset: tuple[float, float, float] = (0, 0, 0), clip: bool = False) -> list[float]:

@@ -345,7 +345,7 @@ def step(
     """Define the step `name` by `reference(x, *parameters)` on images (B, C, H, W); returns a function of these arguments.
 
     Parameters are numbers, or tensors that broadcast to the image; or tensors (B or 1, C or 1, P) for P parameters. The
-    last one is `measure(x)` if that is given.
+    last one is `measure(x)` if that is given. Bytes give bytes, or `dtype`.
     """
     _references[name] = reference
     composed = with_kernel_casts(reference, levels=255)
@@ -356,7 +356,7 @@ def step(
     plan = _plan(None, _SAME, steps, _NO_COLUMNS)
     plan_tensor: Tensor | None = None
 
-    def run_one_step(x: Tensor, *parameters: float | Tensor) -> Tensor:
+    def run_one_step(x: Tensor, *parameters: float | Tensor, dtype: torch.dtype | None = None) -> Tensor:
         nonlocal plan_tensor
         fits = x.numel() > 0 or 0 not in x.shape[2:]  # kernels need at least one pixel
         plain = True
@@ -365,8 +365,8 @@ def step(
                 plain = False
                 fits = fits and p.dim() == 3 and (per_value or p.shape[1] == 1)
         if not fits:
-            return composed(x, *_split_columns(parameters))
-        if plain:  # the most common case needs no conversion of parameters
+            return composed(x if dtype is None else _to_compute_dtype(x, dtype), *_split_columns(parameters))
+        if plain and dtype is None:  # the most common case needs no conversion of parameters
             numbers = parameters + rest
             if _program_of_numbers.serves(x):
                 if plan_tensor is None:
@@ -377,6 +377,6 @@ def step(
             if rest:
                 return _program_around_mean(x, *_NO_TENSORS, None, plan, numbers)[0]
             return _program(x, *_NO_TENSORS, None, plan, numbers)
-        return _run(x, steps, arguments([*parameters, *rest]), None)
+        return _run(x, steps, arguments([*parameters, *rest]), None, dtype)
 
     return run_one_step

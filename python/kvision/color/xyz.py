@@ -7,7 +7,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._leading import apply_on_batch
 from kvision._modules import FunctionModule
-from kvision.color.codes import are_codes, decoder, encoder, units, values
+from kvision.color.codes import are_codes, decoder, encoder, of_rgb, values
 from kvision.color.matrix import affine, affine_numbers, inverse, mixed
 
 XYZ_FROM_RGB = (
@@ -60,7 +60,7 @@ def rgb_to_xyz(image: Tensor, opencv: bool = False) -> Tensor:
     _check.channels("rgb_to_xyz", "image", image, 3)
     if are_codes("rgb_to_xyz", image, opencv):
         return apply_on_batch(_encode, image, *_TO_XYZ)
-    return apply_on_batch(_rgb_to_xyz, units(image))
+    return of_rgb(_rgb_to_xyz, image)
 
 
 def xyz_to_rgb(image: Tensor, opencv: bool = False) -> Tensor:

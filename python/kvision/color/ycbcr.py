@@ -8,7 +8,7 @@ from kvision import _check
 from kvision._dtype import floats
 from kvision._leading import apply_on_batch
 from kvision._modules import FunctionModule
-from kvision.color.codes import are_codes, decoder, encoder, units, values
+from kvision.color.codes import are_codes, decoder, encoder, of_rgb, values
 from kvision.color.gray import LUMA, weighted_sum
 from kvision.color.matrix import affine, affine_numbers
 
@@ -52,7 +52,7 @@ def rgb_to_ycbcr(image: Tensor, opencv: bool = False) -> Tensor:
     _check.channels("rgb_to_ycbcr", "image", image, 3)
     if are_codes("rgb_to_ycbcr", image, opencv):
         return apply_on_batch(_encode, image, *_TO_YCBCR)
-    return apply_on_batch(_rgb_to_ycbcr, units(image))
+    return of_rgb(_rgb_to_ycbcr, image)
 
 
 def ycbcr_to_rgb(image: Tensor, opencv: bool = False) -> Tensor:

@@ -51,35 +51,6 @@ def test_serves_names_the_backend(device, backend):
     assert _ops.serves("sobel", x.to("meta")) == "reference"
 
 
-BYTES_ON_CPU = {
-    "equalize_clahe": lambda x: K.enhance.equalize_clahe(x, 2.0, (2, 3)),
-    "sharpness": lambda x: K.enhance.sharpness(x, 1.5),
-}
-
-
-@pytest.mark.tracing
-@pytest.mark.parametrize("layout", [torch.contiguous_format, torch.channels_last], ids=str)
-@pytest.mark.parametrize("name", BYTES_ON_CPU)
-def test_bytes_go_through_kernels_of_floats(name, layout, backend, monkeypatch):
-    """Disable the uint8 kernels of the CPU for these operators, as CUDA has none."""
-    if backend == "reference":
-        pytest.skip("this test is about the kernels")
-    operator, call = _ops.operators[name], BYTES_ON_CPU[name]
-    x = torch.randint(0, 256, (2, 3, 19, 23), dtype=torch.uint8).contiguous(memory_format=layout)
-    expected = call(x)
-    monkeypatch.setattr(operator, "_on_cpu", operator._on_cpu - {torch.uint8})
-    for chosen in ("auto", "native"):
-        with K.backend(chosen):
-            y = call(x)
-        assert y.dtype == torch.uint8 and y.stride() == expected.stride()
-        assert (y.short() - expected.short()).abs().max() <= (name in ("equalize_clahe", "sharpness"))
-    assert torch.equal(torch.compile(call, fullgraph=True, backend="aot_eager")(x), y)
-
-
-def test_every_operator_of_bytes_on_the_cpu_is_tested_through_floats():
-    assert {o.name for o in _ops.operators.values() if o._converts_bytes} == set(BYTES_ON_CPU)
-
-
 @pytest.mark.slow
 def test_environment_chooses_the_backend():
     code = "import torch, kvision as K; print(K._ops.serves('sobel', torch.zeros(1, 1, 2, 2)))"

@@ -114,6 +114,9 @@ __device__ __forceinline__ float over_255(float v) {
 }
 __device__ __forceinline__ double over_255(double v) { return v / 255; }
 
+// Pixels of a vector that is mapped: a thread keeps the cells and weights of as many columns.
+template <class T>
+constexpr int kMapped = kRowVector<T> < 8 ? kRowVector<T> : 8;
 // The columns of a thread, in vectors of P adjacent ones.
 template <int P>
 constexpr int kColumns = P < 4 ? 4 : P;
@@ -217,8 +220,12 @@ __global__ void __launch_bounds__(kThreads)
           uint32_t const four = table[column][level & (kLevels - 1)];
           F const value = mixed(byte_of<F>(four, 0), byte_of<F>(four, 1), byte_of<F>(four, 2), byte_of<F>(four, 3),
                                 across[column], down);
-          F const mapped = over_255(p.to_levels ? rint(value) : value);
-          result[k] = level < kLevels ? mapped : read(pixel);
+          if constexpr (sizeof(T) == 1) {
+            result[k] = value;
+          } else {
+            F const mapped = over_255(p.to_levels ? rint(value) : value);
+            result[k] = level < kLevels ? mapped : read(pixel);
+          }
         }
         store_vector(row + v * apart_to, result);
       }
@@ -242,11 +249,12 @@ void launch_tables(Clahe<T> const& p, unsigned first_plane, unsigned planes, boo
 template <class T>
 int clahe(Clahe<T> const& p, CUstream_st* stream) {
   int64_t const planes = p.x.count();
-  bool const aligned = is_vectorizable<kPixels<T>>(p.x) && is_vectorizable<kPixels<T>>(p.y);
+  constexpr int kVector = sizeof(T) == 1 ? kMapped<T> : kPixels<T>;  // those of both launches are parts of it
+  bool const aligned = is_vectorizable<kVector>(p.x) && is_vectorizable<kVector>(p.y);
   bool const small = int64_t(p.down.size) * p.across.size <= 8192;
   CellBlocks const blocks(p.across, p.down);
   int error = 0;
-  with_row_vectors<kRowVector<T>>(aligned, [&](auto pixels) {
+  with_row_vectors<kMapped<T>>(aligned, [&](auto pixels) {
     auto* const kernel = map_cells<T, pixels.value>;
     unsigned const threads_across = unsigned(blocks.columns / kColumns<pixels.value>);
     dim3 const threads(threads_across, kThreads / threads_across);
@@ -264,6 +272,6 @@ int clahe(Clahe<T> const& p, CUstream_st* stream) {
   return error ? error : int(cudaGetLastError());
 }
 
-KV_INSTANTIATE(clahe, Clahe)
+KV_INSTANTIATE_WITH_BYTES(clahe, Clahe)
 
 }  // namespace kv::enhance::cuda

@@ -38,7 +38,7 @@ Tensor equalize_clahe(Tensor const& input, std::optional<Tensor> const& clip_lim
       empty({by_cells ? planes : 0, rows * (columns * kLevels + 1)}, x, Layout::planar, ScalarType::Byte);
   uint8_t *const tables = by_cells ? static_cast<uint8_t*>(memory.mutable_data_ptr()) : nullptr,
                  *const has_nan = by_cells ? tables + planes * rows * columns * kLevels : nullptr;
-  dispatch_floating_and_cpu_uint8(op, x, [&](auto type) {
+  dispatch_floating_and_uint8(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
     Clahe<T> const params{channel_planes<T const>(x, layout),
                           channel_planes<T>(y, layout),

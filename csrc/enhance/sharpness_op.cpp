@@ -12,7 +12,7 @@ Tensor sharpness(Tensor const& input, OptionalTensor const& factor, double numbe
   check_planes("sharpness", input);
   Layout const layout = layout_of(input);
   Tensor const x = as_layout(input, layout), y = empty_like(x, layout);
-  dispatch_floating_and_cpu_uint8("sharpness", x, [&](auto type) {
+  dispatch_floating_and_uint8("sharpness", x, [&](auto type) {
     using T = typename decltype(type)::type;
     Sharpness<T> const p{channel_planes<T const>(x, layout), channel_planes<T>(y, layout),
                          plane_parameter<Compute<T>>("sharpness", "factor", x, factor, number)};

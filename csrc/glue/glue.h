@@ -137,16 +137,6 @@ void dispatch_floating_and_uint8(char const* op, Tensor const& x, F f) {
   dispatch_floating(op, x, f);
 }
 
-// For operators whose CUDA kernels do not read bytes: there Python converts them (_ops.Operator).
-template <class F>
-void dispatch_floating_and_cpu_uint8(char const* op, Tensor const& x, F f) {
-#if defined(KV_CUDA)
-  dispatch_floating(op, x, f);
-#else
-  dispatch_floating_and_uint8(op, x, f);
-#endif
-}
-
 // --- running ---------------------------------------------------------------------------------------------------------
 
 #if defined(KV_CUDA)

@@ -18,7 +18,7 @@ import contextlib
 import functools
 import importlib
 from collections.abc import Callable, Collection, Iterator, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import torch
 from torch import Tensor, is_grad_enabled
@@ -147,8 +147,7 @@ class Operator:
         linear: linear in its first tensor. Then jvp is the operator itself where it has no other tensor. Of the first tensor
             its sizes alone are saved for backward (`args[0]` is these there), where there is no other or where `gradients`
             ask for no more.
-        bytes: the kernels take uint8, too; "cpu": those of the CPU do, and elsewhere bytes become float32 before the
-            kernel and are rounded after it.
+        bytes: the kernels take uint8, too.
         uint16: the kernels take uint16, too.
         levels: the result for bytes is that for images of floats times this number, 1 or 255.
         labels: the first tensor holds int64 or uint8, and the kernels take no other types.
@@ -180,7 +179,7 @@ class Operator:
         saves_results: bool = False,
         non_differentiable: Sequence[int] = (),
         linear: bool = False,
-        bytes: bool | Literal["cpu"] = False,
+        bytes: bool = False,
         uint16: bool = False,
         levels: int = 1,
         labels: bool = False,
@@ -198,7 +197,6 @@ class Operator:
             if casts_outputs
             else with_kernel_casts(reference, native_half, layout_of, levels, non_differentiable)
         )
-        self._through_floats = through_floats(self, levels, non_differentiable)
         self.words = gradients
         self.by_hand = backward
         self.jvp = jvp
@@ -226,9 +224,6 @@ class Operator:
         self._on_cpu, self._on_cuda = (
             frozenset(() if device in self.unserved else self.dtypes) for device in ("cpu", "cuda")
         )
-        self._converts_bytes = bytes == "cpu"
-        if self._converts_bytes:
-            self._on_cuda -= {torch.uint8}
 
     # In one frame, of names that are looked up at once: with less of both this was a sixth of the time of a small call.
     def __call__(self, *args: Any) -> Any:
@@ -237,8 +232,6 @@ class Operator:
         if _backend.ask_backend or x.dtype not in served or type(x) not in _PLAIN:
             if not self.is_native(x):
                 return self.reference(*args)
-            if x.dtype not in served:
-                return self._through_floats(*args)
         if self.supports is not None and (reason := self.supports(*args)) is not None:
             return self._call_reference(reason, args)
         if self.nondeterministic and torch.are_deterministic_algorithms_enabled():
@@ -295,7 +288,7 @@ class Operator:
         served: Collection[torch.dtype] = self._on_cpu if x.is_cpu else self._on_cuda if x.is_cuda else ()
         if hasattr(x, "placements"):  # a DTensor, whose shards torch's own operators know
             served = ()
-        if x.dtype in served or (self._converts_bytes and x.dtype == torch.uint8 and torch.float32 in served):
+        if x.dtype in served:
             return True
         if chosen == "native":
             device = x.device.type

@@ -122,6 +122,14 @@ class TestClahe(LevelTests):
         kwargs = {"clip_limit": 4.0, "grid_size": grid}
         self.check(E.equalize_clahe(x, **kwargs), self.expected(x, kwargs))
 
+    @pytest.mark.parametrize("layout", [torch.contiguous_format, torch.channels_last], ids=str)
+    def test_bytes_are_those_of_the_cpu(self, layout, device):
+        for size in ((64, 96), (45, 67), (300, 264), (90, 13)):
+            x = torch.from_numpy(photo(6 * size[0], size[1])).view(2, 3, *size).contiguous(memory_format=layout)
+            for opencv in (False, True):
+                y, expected = (E.equalize_clahe(of, 3.0, (3, 5), opencv=opencv) for of in (x.to(device), x))
+                assert_close(y.cpu(), expected, 0, 0)
+
     def test_more_tiles_than_pixels(self, device):
         x = torch.rand(1, 2, 7, 5, device=device)
         for grid in ((1, 1), (7, 5), (11, 2), (3, 40)):

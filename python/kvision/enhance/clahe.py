@@ -33,7 +33,7 @@ _equalize_clahe = register(
     _reference,
     gradients="input: equalize_backward(output=result, changed=None)",
     native_half=True,
-    bytes="cpu",
+    bytes=True,
     levels=255,
     clamps=True,
 )

@@ -52,7 +52,7 @@ _sharpness = register(
     "sharpness",
     _reference,
     gradients="input, factor: sharpness_backward(of_image=needs(input), of_factor=needs(factor))",
-    bytes="cpu",
+    bytes=True,
     levels=255,
     clamps=True,
 )

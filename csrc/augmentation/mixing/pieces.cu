@@ -226,10 +226,27 @@ __global__ void __launch_bounds__(kPieceThreads)
   });
 }
 
+// find_reader by all threads of a warp.
+template <class T>
+__device__ __forceinline__ int64_t find_reader_by_warp(MixPieces<T> const& p, int64_t b, int i) {
+  T const own = p.drawn(b, i);
+  if (!(own >= 0)) return b;
+  int const lane = int(threadIdx.x) % 32;
+  int rank = 0;
+  for (int64_t k = lane; k < p.batch; k += 32) rank += precedes(p.drawn(k, i), k, own, b);
+  rank = warp_reduce(rank, Sum());
+  for (int64_t first = 0; first < p.batch; first += 32) {
+    unsigned const chosen = __ballot_sync(~0u, first + lane < p.batch && p.drawn(first + lane, i) >= 0);
+    if (rank < __popc(chosen)) return first + int(__fns(chosen, 0, rank + 1));
+    rank -= __popc(chosen);
+  }
+  return b;
+}
+
+// A warp has a sample.
 template <class T>
 __global__ void __launch_bounds__(kMixThreads) mix_samples(__grid_constant__ MixPieces<T> const p) {
-  int64_t const b = blockIdx.x * int64_t(kMixThreads) + threadIdx.x;
-  if (b < p.batch) mix_sample(p, b);
+  mix_sample(p, blockIdx.x, [&](int64_t b, int i) { return find_reader_by_warp(p, b, i); });
 }
 
 template <class T, class Kernel>
@@ -256,7 +273,7 @@ int paste_pieces_backward(PastePieces<T> const& p, CUstream_st* stream) {
 
 template <class T>
 int mix_pieces(MixPieces<T> const& p, CUstream_st* stream) {
-  mix_samples<<<unsigned(ceil_div(p.batch, kMixThreads)), kMixThreads, 0, stream>>>(p);
+  mix_samples<<<unsigned(p.batch), kMixThreads, 0, stream>>>(p);
   return cudaGetLastError();
 }
 

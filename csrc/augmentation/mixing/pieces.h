@@ -79,40 +79,47 @@ KV_HD void set_window(T* piece, int64_t left, int64_t top, int64_t right, int64_
   piece[6] = T(dx), piece[7] = T(dy), piece[8] = weight;
 }
 
-// Draw i orders the samples that are not negative there: the k-th of them reads from the k-th in order, others from
-// themselves. The sample that reads from b is found, and both are told.
+// Whether number k, x, comes before number b among those that are not negative.
 template <class T>
-KV_HD void pair_up(MixPieces<T> const& p, int64_t b, int i, int n) {
+KV_HD bool precedes(T x, int64_t k, T own, int64_t b) {
+  return x >= 0 && (x < own || (x == own && k < b));
+}
+
+// Draw i orders the samples that are not negative there: the k-th of them reads from the k-th in order, others from
+// themselves. Of samples of numbers that are not in order, as NaN, each reads from itself. This is the sample that
+// reads from b.
+template <class T>
+KV_HD int64_t find_reader(MixPieces<T> const& p, int64_t b, int i) {
   T const own = p.drawn(b, i);
-  int64_t reader = b;
-  if (own >= 0) {
-    int64_t rank = 0;
-    for (int64_t k = 0; k < p.batch; ++k) {
-      T const other = p.drawn(k, i);
-      rank += other >= 0 && (other < own || (other == own && k < b));
-    }
-    for (reader = 0; reader < p.batch; ++reader)
-      if (p.drawn(reader, i) >= 0 && rank-- == 0) break;
-    if (reader == p.batch) reader = b;  // of numbers that are not in order, as NaN
-  }
+  if (!(own >= 0)) return b;
+  int64_t rank = 0, reader = 0;
+  for (int64_t k = 0; k < p.batch; ++k) rank += precedes(p.drawn(k, i), k, own, b);
+  for (; reader < p.batch; ++reader)
+    if (p.drawn(reader, i) >= 0 && rank-- == 0) return reader;
+  return b;
+}
+// Tells both; `reader_of(b, i)` is find_reader.
+template <class T, class ReaderOf>
+KV_HD void pair_up(MixPieces<T> const& p, int64_t b, int i, int n, ReaderOf reader_of) {
+  int64_t const reader = reader_of(b, i);
   p.piece(reader, n)[4] = T(b - reader);
   p.piece(b, n)[5] = T(reader - b);
 }
 
 KV_HD int64_t to_whole(float x, int64_t highest) { return x > 0 ? (x < float(highest) ? int64_t(x) : highest) : 0; }
 
-template <class T>
-KV_HD void mix_sample(MixPieces<T> const& p, int64_t b) {
+template <class T, class ReaderOf>
+KV_HD void mix_sample(MixPieces<T> const& p, int64_t b, ReaderOf reader_of) {
   bool const chosen = p.chosen < 0 || p.columns[b * p.columns_stride + p.chosen] > T(.5);
   int64_t const w = p.width, h = p.height;
   switch (p.kind) {
     case MixKind::mixup:
-      pair_up(p, b, 0, 0);
+      pair_up(p, b, 0, 0, reader_of);
       set_window(p.piece(b, 0), 0, 0, w, h, 0, 0, p.drawn(b, 1));
       break;
     case MixKind::cutmix:
       for (int n = 0; n < p.count; ++n) {
-        pair_up(p, b, 4 * n, n);
+        pair_up(p, b, 4 * n, n, reader_of);
         T const side = min(max(T(sqrt(1 - p.drawn(b, 4 * n + 1))), p.low), p.high);
         int64_t const across = to_whole(side * T(w), w), down = to_whole(side * T(h), h),
                       x = to_whole(p.drawn(b, 4 * n + 2) * T(w - across + 1), w),
@@ -121,7 +128,7 @@ KV_HD void mix_sample(MixPieces<T> const& p, int64_t b) {
       }
       break;
     case MixKind::patch_mix: {
-      pair_up(p, b, 0, 0);
+      pair_up(p, b, 0, 0, reader_of);
       int64_t const x = to_whole(p.drawn(b, 1), w), y = to_whole(p.drawn(b, 2), h);
       set_window(p.piece(b, 0), x, y, x + p.columns_of_grid, y + p.rows, 0, 0, T(1));
       break;
@@ -153,7 +160,7 @@ KV_HD void mix_sample(MixPieces<T> const& p, int64_t b) {
         if (n == 1)
           p.piece(b, n)[4] = p.piece(b, n)[5] = 0;
         else
-          pair_up(p, b, n, n);
+          pair_up(p, b, n, n, reader_of);
         set_window(p.piece(b, n), left, top, chosen ? left + w : left, top + h, -left, -top, T(1));
       }
       break;

@@ -128,7 +128,8 @@ void paste_pieces_backward(PastePieces<T> const& p, int64_t begin, int64_t end) 
 
 template <class T>
 void mix_pieces(MixPieces<T> const& p, int64_t begin, int64_t end) {
-  for (int64_t b = begin; b < end; ++b) mix_sample(p, b);
+  auto const reader_of = [&](int64_t b, int i) KV_INLINE { return find_reader(p, b, i); };
+  for (int64_t b = begin; b < end; ++b) mix_sample(p, b, reader_of);
 }
 
 KV_INSTANTIATE_WITH_BYTES(paste_pieces, PastePieces)

@@ -18,7 +18,7 @@ using geometry::cuda::TileGrid;
 static_assert(kThreads == geometry::cuda::kThreads);
 constexpr int kChannels = 3, kOwnPixels = geometry::cuda::kPixelsPerThread;
 // Of the pixels that a tile reads. Rows one below the other are in different banks.
-constexpr int kPitch = 72, kSourceRows = 60, kPlane = kPitch * kSourceRows;
+constexpr int kPitch = 72, kSourceRows = 60, kPlane = kPitch * kSourceRows, kVector = 4;
 
 // A piece of which pixels are read.
 template <class T>
@@ -120,32 +120,63 @@ __device__ __forceinline__ void copy_pixel(float* to, T const* from, int channel
     else
       to[k * kPlane] = read(from[k * channel_stride]);
 }
-
-// Collects the pixels of a box.
+// Four adjacent pixels, which are a vector.
 template <class T>
-__device__ __forceinline__ void load_box(WarpPieces<T> const& p, ReadPiece<T> const* pieces, int64_t b,
-                                         TapBounds const& box, float* pixels) {
-  constexpr int kRowsAtOnce = kThreads / 32;
+__device__ __forceinline__ void copy_vector(float* to, T const* from, int channel_stride) {
+  if constexpr (sizeof(T) == 4) {
+#pragma unroll
+    for (int k = 0; k < kChannels; ++k) __pipeline_memcpy_async(to + k * kPlane, from + k * channel_stride, 16);
+  } else {
+    Vector<T, 4> all[kChannels];
+#pragma unroll
+    for (int k = 0; k < kChannels; ++k) all[k] = *reinterpret_cast<Vector<T, 4> const*>(from + k * channel_stride);
+#pragma unroll
+    for (int k = 0; k < kChannels; ++k) {
+      auto const& [x, y, z, w] = all[k].v;
+      *reinterpret_cast<Vector<float, 4>*>(to + k * kPlane) = {read(x), read(y), read(z), read(w)};
+    }
+  }
+}
+
+__device__ __forceinline__ bool fits(TapBounds const& box) {
+  return box.right - box.left + kVector <= kPitch && box.bottom - box.top < kSourceRows;
+}
+
+// Collects the pixels of a box; returns the column of its first one, so that vectors of images are vectors here.
+template <class T>
+__device__ __forceinline__ int load_box(WarpPieces<T> const& p, ReadPiece<T> const* pieces, int64_t b,
+                                        TapBounds const& box, float* pixels) {
   Images<T const> const& x = p.warp.x;
-  int const lane = int(threadIdx.x) % 32, warp = int(threadIdx.x) / 32, width = int(x.width), height = int(x.height);
+  int const width = int(x.width), height = int(x.height);
   int const channel_stride = int(x.channel_stride), row_stride = int(x.row_stride), step = int(x.step);
   TapBounds const inner{max(box.left, 0), max(box.top, 0), min(box.right, width - 1), min(box.bottom, height - 1)};
   unsigned const set = pieces_of(pieces, p.count, inner);
   ReadPiece<T> const& last = pieces[31 - __clz(int(set))];
   bool const is_one = !(set & (set - 1)) && inner.left == box.left && inner.top == box.top &&
                       inner.right == box.right && inner.bottom == box.bottom && last.has_image_of(box, x);
-  for (int column = box.left + lane; column <= box.right; column += 32) {
-    float* to = pixels + (warp * kPitch + (column - box.left));
-    int row = box.top + warp;
-    if (is_one) {
-      T const* from = last.image + ((row + last.dy) * row_stride + (column + last.dx) * step);
+  bool const has_vectors =
+      step == 1 && ((reinterpret_cast<uintptr_t>(last.image) / sizeof(T) | width | row_stride | channel_stride) &
+                    (kVector - 1)) == 0;
+  if (is_one && has_vectors) {
+    constexpr int kAcross = 16, kRowsAtOnce = kThreads / kAcross;
+    int const skew = (box.left + last.dx) & (kVector - 1), columns = box.right - box.left + 1 + skew;
+    int const first_row = int(threadIdx.x) / kAcross;
+    for (int column = int(threadIdx.x) % kAcross * kVector; column < columns; column += kAcross * kVector) {
+      int row = box.top + first_row;
+      T const* from = last.image + ((row + last.dy) * row_stride + (box.left + last.dx - skew + column));
+      float* to = pixels + (first_row * kPitch + column);
 #pragma unroll 2
       for (; row <= box.bottom; row += kRowsAtOnce, to += kRowsAtOnce * kPitch, from += kRowsAtOnce * row_stride)
-        copy_pixel(to, from, channel_stride);
-      continue;
+        copy_vector(to, from, channel_stride);
     }
+    return skew;
+  }
+  constexpr int kRowsAtOnce = kThreads / 32;
+  int const lane = int(threadIdx.x) % 32, warp = int(threadIdx.x) / 32;
+  for (int column = box.left + lane; column <= box.right; column += 32) {
+    float* to = pixels + (warp * kPitch + (column - box.left));
 #pragma unroll 1
-    for (; row <= box.bottom; row += kRowsAtOnce, to += kRowsAtOnce * kPitch) {
+    for (int row = box.top + warp; row <= box.bottom; row += kRowsAtOnce, to += kRowsAtOnce * kPitch) {
       bool const inside = unsigned(column) < unsigned(width) && unsigned(row) < unsigned(height);
       T const* const from = inside ? piece_at(pieces, set, column, row).pixel(x, column, row) : nullptr;
       if (from) {
@@ -156,6 +187,20 @@ __device__ __forceinline__ void load_box(WarpPieces<T> const& p, ReadPiece<T> co
       }
     }
   }
+  return 0;
+}
+
+// The bounds of the taps of rows of a tile, where no horizon runs through them.
+__device__ __forceinline__ TapBounds box_of_rows(Tile<float> const& tile, int first, int last, int right) {
+  TapBounds box = TapBounds::empty();
+#pragma unroll
+  for (int i = 0; i < 4; ++i) {
+    float u, v;
+    tile.map.apply(float(i & 1 ? right : 0), float(i & 2 ? last : first), u, v);
+    box.add<2>(u, v, geometry::cuda::kCoordRounding, float(geometry::cuda::kFarCoord));
+  }
+  box.move(tile.u, tile.v);
+  return box;
 }
 
 template <class T, bool FrequentOnly>
@@ -177,57 +222,71 @@ __global__ void __launch_bounds__(kThreads, 4)
   for (int number = 0; number < int(tiles.per_block); ++number) {
     Tile<float> const& tile = block.tiles[number];
     if (tile.x >= width) break;
-    TapBounds const box = block.taps[number];
-    bool const outside =
-        box.right < 0 || box.bottom < 0 || box.left >= int(warp.x.width) || box.top >= int(warp.x.height);
-    bool const fits = box.right - box.left < kPitch && box.bottom - box.top < kSourceRows;
-    if (fits && !outside) {
-      __syncthreads();  // before the current pixels are overwritten
-      load_box(p, pieces, b, box, pixels);
-      __pipeline_commit();
-      __pipeline_wait_prior(0);
-      __syncthreads();
-    }
+    TapBounds const whole = block.taps[number];
     int const column = geometry::cuda::column_in_tile(geometry::cuda::kAcross<float>),
               row = geometry::cuda::row_in_tile(geometry::cuda::kAcross<float>);
     int const x = tile.x + column, y = tile.y + row;
-    if (x >= width || y >= height) continue;
-    float c[kChannels][kOwnPixels], poison = 0;  // NaN where a tap is no finite number
-    if (outside) {
+    bool const exists = x < width && y < height;
+    // Where perspective brings far pixels together, half a tile at a time.
+    int const parts = fits(whole) || whole.right - whole.left + kVector > kPitch ? 1 : 2;
+    float c[kChannels][kOwnPixels]{};
+#pragma unroll 1
+    for (int part = 0; part < parts; ++part) {
+      auto const is_own = [&](int j) { return parts == 1 || j / (kOwnPixels / 2) == part; };
+      int const first_row = part * (geometry::kTile / 2);
+      if (tile.y + first_row >= height) break;
+      TapBounds const box =
+          parts == 1 ? whole
+                     : box_of_rows(tile, first_row, min(first_row + geometry::kTile / 2, height - tile.y) - 1,
+                                   min(geometry::kTile, width - tile.x) - 1);
+      bool const outside =
+          box.right < 0 || box.bottom < 0 || box.left >= int(warp.x.width) || box.top >= int(warp.x.height);
+      float poison = 0;  // NaN where a tap is no finite number
+      if (outside) {
 #pragma unroll
-      for (int k = 0; k < kChannels; ++k)
+        for (int k = 0; k < kChannels; ++k)
 #pragma unroll
-        for (int j = 0; j < kOwnPixels; ++j) c[k][j] = read(round_to<T>(warp.fill_value(b, k))) * kScale;
-    } else if (fits) {
-      geometry::cuda::ThreadCoords<float> const coords(tile, warp.coords, nullptr, column, row);
-      float const* const origin = pixels + ((tile.v - box.top) * kPitch + (tile.u - box.left));
+          for (int j = 0; j < kOwnPixels; ++j)
+            if (is_own(j)) c[k][j] = read(round_to<T>(warp.fill_value(b, k))) * kScale;
+      } else if (fits(box)) {
+        __syncthreads();  // before the current pixels are overwritten
+        int const skew = load_box(p, pieces, b, box, pixels);
+        __pipeline_commit();
+        __pipeline_wait_prior(0);
+        __syncthreads();
+        geometry::cuda::ThreadCoords<float> const coords(tile, warp.coords, nullptr, column, row);
+        float const* const origin = pixels + ((tile.v - box.top) * kPitch + (tile.u - box.left + skew));
 #pragma unroll
-      for (int j = 0; j < kOwnPixels; ++j) {
-        float u, v, tx, ty, wx[2], wy[2];
-        coords.at(y + j * kRowStep < height ? j : 0, u, v);
-        int const at = geometry::cuda::near_tap<2>(u, tx), below = geometry::cuda::near_tap<2>(v, ty);
-        float const* const taps = origin + (below * kPitch + at);
+        for (int j = 0; j < kOwnPixels; ++j) {
+          if (!exists || !is_own(j) || y + j * kRowStep >= height) continue;
+          float u, v, tx, ty, wx[2], wy[2];
+          coords.at(j, u, v);
+          int const at = geometry::cuda::near_tap<2>(u, tx), below = geometry::cuda::near_tap<2>(v, ty);
+          float const* const taps = origin + (below * kPitch + at);
 #pragma unroll
-        for (int k = 0; k < kChannels; ++k) {
-          float const sum = geometry::cuda::mean<2>(taps + k * kPlane, kPitch, 1, tx, ty, wx, wy);
-          if (sizeof(T) > 1) poison += sum * 0;
-          c[k][j] = read(round_to<T>(sum)) * kScale;
+          for (int k = 0; k < kChannels; ++k) {
+            float const sum = geometry::cuda::mean<2>(taps + k * kPlane, kPitch, 1, tx, ty, wx, wy);
+            if (sizeof(T) > 1) poison += sum * 0;
+            c[k][j] = read(round_to<T>(sum)) * kScale;
+          }
         }
       }
+      if (exists && !outside && (!fits(box) || poison != 0))
+#pragma unroll
+        for (int j = 0; j < kOwnPixels; ++j) {
+          if (!is_own(j) || y + j * kRowStep >= height) continue;
+          float sums[kChannels];
+          sample_by_taps(p, pieces, tile, x, y + j * kRowStep, sums);
+#pragma unroll
+          for (int k = 0; k < kChannels; ++k) c[k][j] = read(round_to<T>(sums[k])) * kScale;
+        }
     }
-    if (!outside && (!fits || poison != 0))
-#pragma unroll
-      for (int j = 0; j < kOwnPixels; ++j) {
-        float sums[kChannels]{};
-        if (y + j * kRowStep < height || j == 0) sample_by_taps(p, pieces, tile, x, y + j * kRowStep, sums);
-#pragma unroll
-        for (int k = 0; k < kChannels; ++k) c[k][j] = read(round_to<T>(sums[k])) * kScale;
-      }
+    if (!exists) continue;
 #pragma unroll 1
     for (int s = 0; s < sample.length; ++s) {
       auto const entry = sample.order[s];
       color::cuda::EvaluateStep<float, kChannels, kOwnPixels, FrequentOnly> values{c, sample.p + entry.first};
-      color::run_step(entry.step, values);
+      color::cuda::run_entry(entry, values);
     }
     color::Pixels const& to = p.program.y;
     dispatch_dtype(to.type, [&](auto stored) {
@@ -250,13 +309,12 @@ __global__ void __launch_bounds__(kThreads, 4)
 }  // namespace
 
 template <class T>
-int warp_pieces(WarpPieces<T> const& p, CUstream_st* stream) {
+int warp_pieces(WarpPieces<T> const& params, CUstream_st* stream) {
+  WarpPieces<T> p = params;
   TileGrid const tiles(p.warp.y.batch, p.warp.y.height, p.warp.y.width,
                        geometry::tiles_per_block(p.warp.y.batch, p.warp.y.height, p.warp.y.width));
-  bool frequent = color::cuda::has_frequent_steps_only(p.program);
-  for (int i = 0; i < p.program.steps; ++i)
-    frequent =
-        frequent && p.program.step[i] != color::Step::standardize && p.program.step[i] != color::Step::standardize_rgb;
+  bool const frequent = color::cuda::has_frequent_steps_only(p.program);
+  if (frequent) color::cuda::invert_deviations(p.program);
   auto* const kernel = frequent ? warp_tiles_of_pieces<T, true> : warp_tiles_of_pieces<T, false>;
   constexpr int bytes = kChannels * kPlane * int(sizeof(float));
   if (cudaError_t const error = cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, bytes))

@@ -2,6 +2,7 @@
 // steps. Included by steps.h, which says how they are written.
 #pragma once
 
+#include "core/luma.h"
 #include "hue.h"
 
 namespace kv::color {
@@ -66,7 +67,7 @@ KV_HD void luma_u8(V (&c)[3], Scalar<V> const* weights) {
 template <class V>
 KV_HD V luma(V const (&c)[3]) {
   using F = Scalar<V>;
-  return c[0] * F(0.299) + c[1] * F(0.587) + c[2] * F(0.114);
+  return c[0] * F(kLumaRed) + c[1] * F(kLumaGreen) + c[2] * F(kLumaBlue);
 }
 template <class V>
 KV_HD V luma(V const (&c)[1]) {
@@ -139,7 +140,7 @@ KV_HD void saturation_gray_vjp(V const (&c)[3], V (&g)[3], Scalar<V> factor) {
   V const gray = luma(c);
   for (int i = 0; i < 3; ++i) g[i] = clip_vjp(V((c[i] - gray) * factor + gray), g[i], true);
   V const of_gray = (g[0] + g[1] + g[2]) * (F(1) - factor);
-  constexpr F weights[] = {F(0.299), F(0.587), F(0.114)};
+  constexpr F weights[] = {F(kLumaRed), F(kLumaGreen), F(kLumaBlue)};
   for (int i = 0; i < 3; ++i) g[i] = g[i] * factor + of_gray * weights[i];
 }
 

@@ -6,6 +6,7 @@
 #include <array>
 #include <span>
 
+#include "core/luma.h"
 #include "glue/expanded_scalar.h"
 #include "glue/views.h"
 #include "program.h"
@@ -222,7 +223,8 @@ Program<F> program_of(ProgramArguments const& a, Samples const& samples, std::ve
   p.tensor_count = int(a.tensors.size());
   std::copy(a.tensors.begin(), a.tensors.end(), p.tensor);
   bool const rgb = samples.channels() == 3;
-  for (int k = 0; k < 3; ++k) p.gray_weights[k] = F(rgb ? (k == 0 ? 0.299 : k == 1 ? 0.587 : 0.114) : k == 0);
+  constexpr double kWeights[] = {kLumaRed, kLumaGreen, kLumaBlue};
+  for (int k = 0; k < 3; ++k) p.gray_weights[k] = F(rgb ? kWeights[k] : k == 0);
   p.mean_pixels = p.pixels;
   p.length = p.steps;
   if (!a.order_of_columns.empty()) {

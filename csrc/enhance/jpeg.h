@@ -15,6 +15,7 @@
 
 #include "core/images.h"
 #include "core/isa.h"
+#include "core/luma.h"
 
 namespace kv::enhance {
 
@@ -85,7 +86,6 @@ constexpr int kJpegSide = 16, kJpegWidth = 64;
 
 // --- color -----------------------------------------------------------------------------------------------------------
 
-constexpr double kJpegRed = 0.299, kJpegGreen = 0.587, kJpegBlue = 0.114;
 constexpr double kJpegFromBlue = 0.564, kJpegFromRed = 0.713;  // the factors of b - y and r - y
 
 // RGB to luma, blue and red chroma; and back.
@@ -96,14 +96,14 @@ struct JpegColor {
 // Levels around 0: 255 (y, cb, cr) - 128.
 template <class F, class V>
 KV_HD JpegColor<V> jpeg_levels(V const& r, V const& g, V const& b) {
-  V const y = r * F(kJpegRed) + g * F(kJpegGreen) + b * F(kJpegBlue);
+  V const y = r * F(kLumaRed) + g * F(kLumaGreen) + b * F(kLumaBlue);
   return {{y * F(255) - F(128), (b - y) * F(255 * kJpegFromBlue) - F(0.5), (r - y) * F(255 * kJpegFromRed) - F(0.5)}};
 }
 template <class F, class V>
 KV_HD JpegColor<V> jpeg_levels_vjp(V const& luma, V const& blue, V const& red) {
   V const of_b = blue * F(255 * kJpegFromBlue), of_r = red * F(255 * kJpegFromRed);
   V const y = luma * F(255) - of_b - of_r;
-  return {{y * F(kJpegRed) + of_r, y * F(kJpegGreen), y * F(kJpegBlue) + of_b}};
+  return {{y * F(kLumaRed) + of_r, y * F(kLumaGreen), y * F(kLumaBlue) + of_b}};
 }
 
 // RGB before clipping.
@@ -111,12 +111,12 @@ template <class F, class V>
 KV_HD JpegColor<V> jpeg_rgb(V const& luma, V const& blue, V const& red) {
   V const y = (luma + F(128)) * F(1 / 255.);
   V const b = (blue + F(0.5)) * F(1 / 255. / kJpegFromBlue), r = (red + F(0.5)) * F(1 / 255. / kJpegFromRed);
-  return {{y + r, y - b * F(kJpegBlue / kJpegGreen) - r * F(kJpegRed / kJpegGreen), y + b}};
+  return {{y + r, y - b * F(kLumaBlue / kLumaGreen) - r * F(kLumaRed / kLumaGreen), y + b}};
 }
 template <class F, class V>
 KV_HD JpegColor<V> jpeg_rgb_vjp(V const& r, V const& g, V const& b) {
-  return {{(r + g + b) * F(1 / 255.), (b - g * F(kJpegBlue / kJpegGreen)) * F(1 / 255. / kJpegFromBlue),
-           (r - g * F(kJpegRed / kJpegGreen)) * F(1 / 255. / kJpegFromRed)}};
+  return {{(r + g + b) * F(1 / 255.), (b - g * F(kLumaBlue / kLumaGreen)) * F(1 / 255. / kJpegFromBlue),
+           (r - g * F(kLumaRed / kLumaGreen)) * F(1 / 255. / kJpegFromRed)}};
 }
 template <class F, class V>
 KV_HD V jpeg_clip(V const& x) {

@@ -3,6 +3,7 @@
 #pragma once
 
 #include "core/isa.h"
+#include "core/luma.h"
 
 namespace kv::augmentation {
 
@@ -37,7 +38,7 @@ struct AddSnow {
     F gray = 0;
     F const each = 1 / F(channels);
     for (int c = 0; c < int(channels); ++c) {
-      F const luma = c == 0 ? F(0.299) : c == 1 ? F(0.587) : F(0.114);
+      F const luma = c == 0 ? F(kLumaRed) : c == 1 ? F(kLumaGreen) : F(kLumaBlue);
       gray += load(from[c * x_strides[1]]) * scale * (channels == 3 ? luma : each);
     }
     F const bright = (1 - weight) * (F(1.5) * gray + F(0.5));

@@ -18,8 +18,8 @@ struct ResizeWindows {
   int64_t planes;       // of a sample
   ResizeFilter filter;  // bilinear, bicubic or lanczos
   bool align_corners, backward;
-  Compute<T> const* matrices;  // 3 x 3, of this stride, which is 0 where one serves all
-  int64_t matrix_stride;
+  Compute<T> const* matrices = nullptr;  // 3 x 3, of this stride, which is 0 where one serves all
+  int64_t matrix_stride = 0;
   // Instead of matrices, forward only: x, y, width and height for each view of each image, in whole pixels.
   Compute<T> const* boxes = nullptr;
   int64_t images = 0, box_image_stride = 0, box_view_stride = 0;

@@ -14,10 +14,18 @@ inline void check_window_filter(char const* op, int64_t filter) {
 inline int64_t planes_per_sample(Tensor const& x, Layout layout) {
   return layout == Layout::channels_last ? 1 : x.size(1);
 }
-template <class T>
-void run_windows([[maybe_unused]] Tensor const& x, ResizeWindows<T> const& params) {
-  int64_t const work = params.y.row_size() == 0 ? 0 : params.backward ? params.y.count() : params.y.rows();
-  KV_RUN(resize_windows, x, params, work, 4 * params.y.row_size() * (params.backward ? params.y.height : 1));
+// Resizes windows of `x` to `y`, once `set_windows(params)` has said which ones.
+template <class SetWindows>
+void run_windows(char const* op, Tensor const& x, Tensor const& y, Layout layout, int64_t filter, bool align_corners,
+                 bool backward, SetWindows set_windows) {
+  auto const run = [&]<class T>(Type<T>) {
+    ResizeWindows<T> p{planes<T const>(x, layout), planes<T>(y, layout), planes_per_sample(x, layout),
+                       ResizeFilter(filter),       align_corners,        backward};
+    set_windows(p);
+    int64_t const work = p.y.row_size() == 0 ? 0 : backward ? p.y.count() : p.y.rows();
+    KV_RUN(resize_windows, x, p, work, 4 * p.y.row_size() * (backward ? p.y.height : 1));
+  };
+  backward ? dispatch_floating(op, x, run) : dispatch_floating_and_uint8(op, x, run);
 }
 
 // From images to results of `size`, or from the gradient of results to that of images of `size`. They may be written to
@@ -36,23 +44,10 @@ inline Tensor windows_resized(char const* op, Tensor const& input, Tensor const&
   bool const one_number = backward && is_expanded_scalar(input);
   Tensor const x = one_number ? input : as_layout(input, layout);
   Tensor const y = memory ? *memory : empty({x.size(0), x.size(1), size.height, size.width}, x, layout);
-  auto const run = [&](auto type) {
-    using T = typename decltype(type)::type;
-    ResizeWindows<T> params{planes<T const>(x, layout),
-                            planes<T>(y, layout),
-                            planes_per_sample(x, layout),
-                            ResizeFilter(filter),
-                            align_corners,
-                            backward,
-                            data_ptr<Compute<T> const>(matrices),
-                            matrices.size(0) > 1 ? 9 : 0};
-    params.one_number = one_number;
-    run_windows(x, params);
-  };
-  if (backward)
-    dispatch_floating(op, x, run);
-  else
-    dispatch_floating_and_uint8(op, x, run);
+  run_windows(op, x, y, layout, filter, align_corners, backward, [&]<class T>(ResizeWindows<T>& p) {
+    p.matrices = data_ptr<Compute<T> const>(matrices), p.matrix_stride = matrices.size(0) > 1 ? 9 : 0;
+    p.one_number = one_number;
+  });
   return y;
 }
 

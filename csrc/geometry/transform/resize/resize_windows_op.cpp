@@ -29,19 +29,10 @@ Tensor resize_views(Tensor const& input, Tensor const& boxes, std::vector<int64_
   Tensor const x = as_layout(input, layout);
   int64_t const images = x.size(0), samples = images * boxes.size(1);
   Tensor const y = empty({samples, x.size(1), size.height, size.width}, x, layout);
-  dispatch_floating_and_uint8(op, x, [&]<class T>(Type<T>) {
-    ResizeWindows<T> p{planes<T const>(x, layout),
-                       planes<T>(y, layout),
-                       planes_per_sample(x, layout),
-                       ResizeFilter(filter),
-                       false,
-                       false,
-                       nullptr,
-                       0};
+  run_windows(op, x, y, layout, filter, false, false, [&]<class T>(ResizeWindows<T>& p) {
     p.boxes = data_ptr<Compute<T> const>(boxes);
     p.images = images, p.box_image_stride = boxes.stride(0), p.box_view_stride = boxes.stride(1);
     p.views = unsigned(boxes.size(1));
-    run_windows(x, p);
   });
   return y;
 }

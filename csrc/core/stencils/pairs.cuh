@@ -24,32 +24,26 @@ struct Pair {
     return read(numbers[i]);
   }
 };
-template <class T>
-__device__ __forceinline__ Pair<T> lower(Pair<T> a, Pair<T> b) {
 #if defined(__CUDA_ARCH__) && __CUDA_ARCH__ < 800
-  return Pair<T>(nan_min(a[0], b[0]), nan_min(a[1], b[1]));
+constexpr bool kComparesPairs = false;
 #else
-  uint32_t bits;
-  if constexpr (__is_same(T, Half))
-    asm("min.NaN.f16x2 %0, %1, %2;" : "=r"(bits) : "r"(a.bits), "r"(b.bits));
-  else
-    asm("min.NaN.bf16x2 %0, %1, %2;" : "=r"(bits) : "r"(a.bits), "r"(b.bits));
-  return Pair<T>(bits);
+constexpr bool kComparesPairs = true;
 #endif
-}
-template <class T>
-__device__ __forceinline__ Pair<T> upper(Pair<T> a, Pair<T> b) {
-#if defined(__CUDA_ARCH__) && __CUDA_ARCH__ < 800
-  return Pair<T>(nan_max(a[0], b[0]), nan_max(a[1], b[1]));
-#else
-  uint32_t bits;
-  if constexpr (__is_same(T, Half))
-    asm("max.NaN.f16x2 %0, %1, %2;" : "=r"(bits) : "r"(a.bits), "r"(b.bits));
-  else
-    asm("max.NaN.bf16x2 %0, %1, %2;" : "=r"(bits) : "r"(a.bits), "r"(b.bits));
-  return Pair<T>(bits);
-#endif
-}
+#define KV_COMPARE_PAIRS(name, of_numbers, instruction)                                          \
+  template <class T>                                                                             \
+  __device__ __forceinline__ Pair<T> name(Pair<T> a, Pair<T> b) {                                \
+    Pair<T> result;                                                                              \
+    if constexpr (!kComparesPairs)                                                               \
+      result = Pair<T>(of_numbers(a[0], b[0]), of_numbers(a[1], b[1]));                          \
+    else if constexpr (__is_same(T, Half))                                                       \
+      asm(instruction ".NaN.f16x2 %0, %1, %2;" : "=r"(result.bits) : "r"(a.bits), "r"(b.bits));  \
+    else                                                                                         \
+      asm(instruction ".NaN.bf16x2 %0, %1, %2;" : "=r"(result.bits) : "r"(a.bits), "r"(b.bits)); \
+    return result;                                                                               \
+  }
+KV_COMPARE_PAIRS(lower, nan_min, "min")
+KV_COMPARE_PAIRS(upper, nan_max, "max")
+#undef KV_COMPARE_PAIRS
 
 }  // namespace
 }  // namespace kv

@@ -1,5 +1,5 @@
-// Color programs from planes of bytes to planes of bytes, on CUDA. A thread takes four adjacent pixels, which may begin
-// anywhere: it reads the words around them, of the next pixels while the steps work on these.
+// Color programs from planes of bytes to planes of bytes or of float32, on CUDA. A thread takes four adjacent pixels,
+// which may begin anywhere: it reads the words around them, of the next pixels while the steps work on these.
 #include "program.cuh"
 #include "program_bytes.h"
 
@@ -48,13 +48,14 @@ struct Words {
   }
 };
 
-template <int C>
+// T: of the results.
+template <int C, class T>
 __global__ void __launch_bounds__(kThreads) run_bytes(__grid_constant__ Program<float> const p) {
   __shared__ Sample<float> sample;
   for (int64_t n = blockIdx.y; n < p.samples; n += gridDim.y) {
     int64_t const b = sample_of(p, n), stride = gridDim.x * kChunk<float>;
     auto const* const from = static_cast<uint8_t const*>(p.x.data) + p.x.offset(b);
-    auto* const to = static_cast<uint8_t*>(p.y.data) + p.y.offset(b);
+    T* const to = static_cast<T*>(p.y.data) + p.y.offset(b);
     int64_t i = blockIdx.x * kChunk<float> + threadIdx.x * P;
     Words<C> ahead(p.x, from);
     ahead.fetch(p.x, from, i, p.pixels);
@@ -72,29 +73,45 @@ __global__ void __launch_bounds__(kThreads) run_bytes(__grid_constant__ Program<
 #pragma unroll
       for (int k = 0; k < C; ++k) {
         if (k >= p.y.channels) break;
+        T* const own = to + k * p.y.channel_stride + i;
+        if constexpr (sizeof(T) == 1) {
 #pragma unroll
-        for (int j = 0; j < P; ++j) c[k][j] *= 255;
-        store_words(to + k * p.y.channel_stride + i, c[k], 0, left);
+          for (int j = 0; j < P; ++j) c[k][j] *= 255;
+          store_words(own, c[k], 0, left);
+        } else if (left >= P) {
+          store_vector(own, c[k]);
+        } else {
+#pragma unroll
+          for (int j = 0; j < P; ++j)
+            if (j < left) own[j] = c[k][j];
+        }
       }
     }
     if (p.contrast >= 0 && blockIdx.x == 0 && threadIdx.x == 0) p.means[b] = sample.mean;
   }
 }
 
+// Whether the planes of three channels of float32 are vectors of a thread's pixels.
+bool has_vectors(Pixels const& y) {
+  return y.type == DType::float32 && y.channels == 3 && (y.outer_stride | y.inner_stride | y.channel_stride) % P == 0 &&
+         reinterpret_cast<uintptr_t>(y.data) % sizeof(Vector<float, P>) == 0;
+}
+
 }  // namespace
 
-// Special case, H200: 1.02 (invert) to 1.8 (gray at 335x513) times as fast as the kernel of any type.
+// Special case, H200: 1.02 (invert) to 1.8 (gray at 335x513) times as fast as the kernel of any type; to float32 1.33
+// (rgb_to_ycbcr) to 1.39 (rgb_to_lab).
 bool takes_bytes(Program<float> const& p) {
-  auto const is_planes_of_bytes = [](Pixels const& x) { return x.type == DType::uint8 && x.step == 1; };
-  return !p.measures_mean && is_planes_of_bytes(p.x) && is_planes_of_bytes(p.y);
+  if (p.measures_mean || p.x.type != DType::uint8 || p.x.step != 1 || p.y.step != 1) return false;
+  return p.y.type == DType::uint8 || has_vectors(p.y);
 }
 
 int program_of_bytes(Program<float> const& p, CUstream_st* stream) {
   dim3 const grid = grid_of(p.samples, blocks_per_sample<float>(p.samples, p.pixels));
-  if (p.x.channels == 1)
-    run_bytes<1><<<grid, kThreads, 0, stream>>>(p);
-  else
-    run_bytes<3><<<grid, kThreads, 0, stream>>>(p);
+  auto* const kernel = p.y.type == DType::float32 ? run_bytes<3, float>
+                       : p.x.channels == 1        ? run_bytes<1, uint8_t>
+                                                  : run_bytes<3, uint8_t>;
+  kernel<<<grid, kThreads, 0, stream>>>(p);
   return cudaGetLastError();
 }
 

@@ -1,4 +1,5 @@
-// Programs from planes of bytes to planes of bytes. On CUDA they have a kernel of their own, program_bytes.cu.
+// Programs from planes of bytes to planes of bytes, or of float32 that are vectors. On CUDA they have a kernel of their
+// own, program_bytes.cu.
 #pragma once
 
 #include "program.h"

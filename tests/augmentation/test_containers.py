@@ -9,7 +9,6 @@ from typing import Any
 import pytest
 import torch
 from torch import Tensor, nn
-from torch._dynamo.testing import CompileCounterWithBackend
 
 import kvision.augmentation as A
 from benchmarks.sample_calls.augmentations import GEOMETRIC, MAPS, Augmentation
@@ -477,6 +476,8 @@ def test_cells_of_a_grid(device: torch.device) -> None:
 @pytest.mark.parametrize("crop", [A.RandomResizedCrop((9, 11)), A.Resize((9, 11))], ids=["crop", "resize"])
 def test_compiles_with_labels(crop: nn.Module) -> None:
     """Two graphs serve all sizes and seeds."""
+    from torch._dynamo.testing import CompileCounterWithBackend
+
     torch.compiler.reset()
     augment = A.AugmentationSequential(
         crop,
@@ -517,6 +518,8 @@ def test_choices_of_the_host_have_no_graph() -> None:
 @pytest.mark.tracing
 @pytest.mark.parametrize("compiler", ["aot_eager", "inductor"])
 def test_compiled_calls_draw_what_eager_calls_draw(compiler: str) -> None:
+    from torch._dynamo.testing import CompileCounterWithBackend
+
     torch.compiler.reset()
     nested = A.ImageSequential(A.ColorJitter(*JITTER), A.RandomGaussianNoise(0.0, 0.1, p=1.0))
     augment, x = A.ImageSequential(A.RandomAffine(30.0, p=0.5), A.RandomHorizontalFlip(), nested), images()

@@ -14,7 +14,6 @@ from typing import Any
 import pytest
 import torch
 from torch import Tensor
-from torch._dynamo.testing import CompileCounterWithBackend
 from torch.utils import _pytree as pytree
 
 import kvision.augmentation as A
@@ -360,6 +359,8 @@ def test_return_transform(case: Augmentation) -> None:
 @slow_names
 def test_compiles(case: Augmentation) -> None:
     """Two graphs serve all sizes and seeds, also of many classes in a process; one more draws what eager calls draw."""
+    from torch._dynamo.testing import CompileCounterWithBackend
+
     if case.one_kernel:
         pytest.skip("the host reads the size of a kernel, where this has a range")
     augment, backend = case.make(**({} if case.changes_size else {"p": 0.7})), CompileCounterWithBackend("aot_eager")

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import torch
 from torch import nn
-from torch._dynamo.testing import CompileCounterWithBackend
 from torch.export import Dim
 
 import kvision as K
@@ -90,6 +89,8 @@ NUMBERS = {
 @pytest.mark.parametrize("name", NUMBERS)
 def test_compile_with_dynamic_numbers(name, device, backend):
     """Two graphs serve all numbers and sizes, values and gradients."""
+    from torch._dynamo.testing import CompileCounterWithBackend
+
     if backend == "reference":
         pytest.skip("references are plain torch, which compiles again for some numbers")
     if name == "psnr" and torch.__version__.startswith("2.11"):

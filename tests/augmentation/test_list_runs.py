@@ -30,7 +30,6 @@ PASSES = {
     "erasing": lambda: (A.RandomErasing(p=0.7), A.RandomHorizontalFlip(), A.CoarseDropout((1, 3), fill=0.5, p=0.9)),
     "lines": lambda: (A.GridMask(rotation_range=(-0.4, 0.4), p=0.7),),
     "units": lambda: (A.GridDropout(0.4, unit_size_range=(3, 9), p=0.7), A.GridDropout(p=0.7)),
-    "gaussian": lambda: (A.RandomGaussianBlur((3, 5), (0.3, 2.0), p=0.7), A.RandomGaussianBlur(5, (0.5, 2.0), "replicate")),
     "gaussian": lambda: (
         A.RandomGaussianBlur((3, 5), (0.3, 2.0), p=0.7),
         A.RandomGaussianBlur(5, (0.5, 2.0), "replicate"),

@@ -266,7 +266,7 @@ def test_masks_of_images_stay_whatever_boxes_an_image_has(in_launches, sizes, de
     classes = [torch.ones(1, *size, dtype=torch.uint8, device=device) for size in sizes]
     far = torch.tensor([[900.0, 900.0, 910.0, 910.0]], device=device)
     near = torch.tensor([[2.0, 2.0, 9.0, 9.0]], device=device)
-    first = A.RandomHorizontalFlip() if in_launches else A.RandomGaussianBlur((3, 3), (0.1, 1.0))
+    first = A.RandomHorizontalFlip() if in_launches else A.RandomSharpness(0.5)
     inner = A.AugmentationSequential(first, min_box_area=1.0)
     augment = A.AugmentationSequential(inner, A.RandomCrop((9, 9)), data_keys=KEYS[:3], min_box_area=100.0)
     boxes = [torch.cat([near, far]), near, far, near]
@@ -341,7 +341,7 @@ def test_draws_of_a_list(device):
         params = augment._params if isinstance(augment._params, dict) else augment._params[0].data
         assert all((value == value[0]).all() for name, value in params.items() if name != "forward_input_shape")
     with pytest.raises(ValueError, match="one same_on_batch of all that draws"):
-        A.ImageSequential(same[0], A.RandomGaussianBlur((3, 3), (0.1, 1.0)))(images)  # which takes a call per size
+        A.ImageSequential(same[0], A.RandomSharpness(0.5))(images)  # which takes a call per size
 
 
 def test_masks_of_a_list_are_read_as_the_container_says(device):
@@ -355,8 +355,6 @@ def test_masks_of_a_list_are_read_as_the_container_says(device):
 
 @pytest.mark.tracing
 def test_a_list_image_by_image_has_no_graph():
-    augment = torch.compile(
-        A.ImageSequential(A.RandomGaussianBlur((3, 3), (0.1, 1.0))), fullgraph=True, backend="eager"
-    )
+    augment = torch.compile(A.ImageSequential(A.RandomSharpness(0.5)), fullgraph=True, backend="eager")
     with pytest.raises(Exception, match=r"has no graph; call it outside of"):
         augment(pictures("cpu", SMALL))

@@ -367,13 +367,13 @@ class AugmentationSequential(ImageSequential):
         self, keys: list[DataKey], inputs: list[Any], params: Any, masks: dict[int, labels.MaskCounts] | None = None
     ) -> tuple[list[Any], Record]:
         """Labels without their images, moved by the last call or by given parameters."""
-        parts = self._parts_of(params)
+        parts = self._parts_of(params, like=_no_image(inputs))
         if parts is not None:
             views, masks = zip(parts.views(self), parts.rows), labels.count_masks(keys, inputs)
             each = [view._move_alone(keys, parts.inputs(rows, keys, inputs), None, masks) for view, rows in views]
             moved = Parts(parts.op, parts.rows, [record for _, record in each])
             return parts.outputs(keys, inputs, [outputs for outputs, _ in each]), Record(parts=moved)
-        last, record = self._record, self._record_of(_no_image(), params).replaced()
+        last, record = self._record, self._record_of(_no_image(inputs), params).replaced()
         inputs, restore = as_frames(last.videos, keys, inputs)
         outputs = self._with_labels(keys, inputs, record, self._label_settings, masks)
         return as_videos(last.videos, outputs, restore), last.replaced(labels=record.labels)
@@ -444,14 +444,14 @@ class AugmentationSequential(ImageSequential):
 
     def _invert_all(self, keys: list[DataKey], inputs: list[Any], params: Any) -> list[Any]:
         first = keys.index(DataKey.INPUT) if DataKey.INPUT in keys else None
-        parts = self._parts_of(params, None if first is None else inputs[first])
+        parts = self._parts_of(params, None if first is None else inputs[first], _no_image(inputs))
         if parts is not None:
             views = zip(parts.views(self), parts.rows)
             each = [view._invert_all(keys, parts.inputs(rows, keys, inputs), None) for view, rows in views]
             return parts.outputs(keys, inputs, each)
         videos = self._record.videos if first is None else self._video_layout(inputs[first])
         inputs, restore = as_frames(videos, keys, inputs)
-        images = _no_image() if first is None else self.transform_tensor(inputs[first])
+        images = _no_image(inputs) if first is None else self.transform_tensor(inputs[first])
         record = self._record_to_invert(images, params)
         return as_videos(videos, [self._moved_back(key, x, record) for key, x in zip(keys, inputs)], restore)
 
@@ -475,9 +475,11 @@ class AugmentationSequential(ImageSequential):
         return known if videos is None else videos.videos(known)
 
 
-def _no_image() -> Tensor:
-    """An image of no size, for labels that come without theirs."""
-    return torch.zeros(1, 1, 1, 1, device="cpu")
+def _no_image(inputs: Sequence[Any]) -> Tensor:
+    """An image of no size, for labels that come without theirs, on their device."""
+    values = (x for value in inputs for x in (value if isinstance(value, (list, tuple)) else (value,)))
+    device = next((x.device for x in values if isinstance(x, Tensor)), "cpu")
+    return torch.zeros(1, 1, 1, 1, device=device)
 
 
 def _masks_back(masks: Any, stages: Chain, size: Sequence[int], batch: int) -> Any:

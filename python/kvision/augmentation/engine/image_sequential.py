@@ -444,8 +444,13 @@ class ImageSequential(ImageSequentialBase):
 
         return call
 
-    def _parts_of(self, params: Sequence[ParamItem] | None, outputs: Any = None) -> Parts | None:
-        """The parts of the last call, or of given parameters, if it was one on a list; None of others."""
+    def _parts_of(
+        self, params: Sequence[ParamItem] | None, outputs: Any = None, like: Tensor | None = None
+    ) -> Parts | None:
+        """The parts of the last call, or of given parameters, if it was one on a list; None of others.
+
+        Without `outputs` images stand for them that are `like` one, or on the CPU.
+        """
         if params is None:
             return self._record.parts
         shapes = shapes_of_images(params)
@@ -453,6 +458,8 @@ class ImageSequential(ImageSequentialBase):
             shapes = [None] * len(outputs)
         if shapes is None:
             return None
+        if outputs is None and like is not None:
+            outputs = [like[0]] * len(shapes)
         return Parts.of_params(type(self).__name__, list(params), shapes, outputs, self._record_of_part)
 
     def _record_of_part(self, like: Tensor, shape: tuple[int, ...], params: Any) -> Record:

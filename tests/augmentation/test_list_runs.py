@@ -16,7 +16,7 @@ from kvision.augmentation.engine import list_runs
 from op_tests import assert_close
 
 PASSES = {
-    "flips": lambda: (A.RandomHorizontalFlip(), A.RandomVerticalFlip(p=1.0), A.D4()),
+    "flips": lambda: (A.RandomHorizontalFlip(), A.RandomVerticalFlip(p=1.0)),
     "affine": lambda: (A.RandomAffine(20.0, (0.1, 0.1), (0.8, 1.2), p=0.7),),
     "perspective": lambda: (A.RandomPerspective(0.3, p=1.0), A.RandomGrayscale(p=0.5)),
     "nearest": lambda: (A.RandomRotation(30.0, "nearest", p=1.0), A.RandomVerticalFlip()),
@@ -207,6 +207,16 @@ def test_what_is_no_linear_function_of_the_size_is_done_image_by_image(device):
     results = augment(images)
     assert not is_by_passes(augment)
     assert all(torch.equal(y, augment(x[None])[0]) for x, y in zip(images, results))
+
+
+def test_square_images_of_a_list_are_turned_as_alone(device):
+    """Which of the symmetries are drawn depends on whether an image is square."""
+    images = pictures(device, SMALL)
+    for augment in (A.D4(), A.ImageSequential(A.D4(), A.RandomInvert())):
+        for i in range(8):
+            seeds = torch.arange(len(images), device=device) + 4 * i
+            for b, y in enumerate(augment(images, seed=seeds)):
+                assert torch.equal(y, augment(images[b][None], seed=seeds[b : b + 1])[0])
 
 
 @pytest.mark.tracing

@@ -20,6 +20,7 @@ SIZES = ((20, 28), (24, 18), (17, 17), (30, 25), (22, 23), (26, 21))
 BY_SIZE = {
     "parameters of each size from labels or corners": {"RandomCropNearBBox", "RandomIoUCrop", "RandomZoomOut"},
     "results of sizes that differ from those of the images": {
+        "D4",
         "LongestMaxSize",
         "Pad",
         "PadIfNeeded",

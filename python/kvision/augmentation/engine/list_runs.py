@@ -38,6 +38,7 @@ from kvision.geometry.transform.lists.arguments import sizes as sides_of
 Size = tuple[int, ...]
 _CORNERS = ((64, 64), (128, 64), (64, 128))  # sizes from which linear functions follow; at the others they are compared
 _ANY = 2  # images of a batch in plans, which do not depend on it
+_COMPARED = (*SIZES, (SIZES[0][0], SIZES[0][0]))  # square images may be drawn for in another way
 _PROBES = (*_CORNERS, *SIZES, (1, 1), (3, 1000), (641, 427))
 
 
@@ -110,22 +111,21 @@ class Sized:
 
     def __init__(self, reading: _Reading) -> None:
         self.reading = reading
-        draws, chains = map(reading.draws, SIZES), map(reading.chains, SIZES)
-        first, second = draws
-        self.has_same_draws = [_kind(a) for a in first] == [_kind(b) for b in second]
-        self.draws = [i for i, (a, b) in enumerate(zip(first, second)) if a != b]
-        first, second = chains
-        forms = [[[(t.kind, len(t.inputs)) for t in chain] for chain in of_size] for of_size in (first, second)]
-        self.has_same_forms = forms[0] == forms[1]
+        draws = list(map(reading.draws, _COMPARED))
+        self.has_same_draws = all([_kind(a) for a in own] == [_kind(a) for a in draws[0]] for own in draws)
+        self.draws = [i for i, (first, *others) in enumerate(zip(*draws)) if any(a != first for a in others)]
+        chains = list(map(reading.chains, _COMPARED))
+        forms = [[[(t.kind, len(t.inputs)) for t in chain] for chain in of_size] for of_size in chains]
+        self.has_same_forms = all(form == forms[0] for form in forms)
         # Of each augmentation pairs of a transform and an input, by their numbers.
         self.inputs = [
             [
                 (i, k)
-                for i, (a, b) in enumerate(zip(*pair))
-                for k, (x, y) in enumerate(zip(a.inputs, b.inputs))
-                if x != y
+                for i, transforms in enumerate(zip(*of_sizes))
+                for k, (first, *others) in enumerate(zip(*[t.inputs for t in transforms]))
+                if any(x != first for x in others)
             ]
-            for pair in zip(first, second)
+            for of_sizes in zip(*chains)
         ]
         self.count = sum(map(len, self.inputs))
 

@@ -64,7 +64,7 @@ def kept(method: Method) -> Method:
     @functools.wraps(method)
     def value(self: Any) -> Any:
         plans: Plans = self._plans
-        has_plans = plans._count == _Changes.count and not is_compiling()
+        has_plans = not is_compiling() and plans._count == _Changes.count  # in this order: graphs guard what they read
         known = plans._plans.get(method) if has_plans else None  # in place of `get`, for its time
         return plans.made(method, lambda: method(self)) if known is None else known[0]
 

@@ -1,7 +1,7 @@
 // Cross-correlation with any kernel on CUDA. Images that filter2d_strip.cu does not support, and volumes, go by tiles
 // in shared memory, from which all taps read. float64 and kernels that are too large for shared memory take one thread
 // for each element.
-#include "core/filter_list.cuh"
+#include "core/stencils/filter_list.cuh"
 #include "filter2d_tile.cuh"
 
 namespace kv::filters::cuda {

@@ -3,8 +3,8 @@
 #pragma once
 
 #include "core/border.h"
-#include "core/filter_list.h"
 #include "core/isa.h"
+#include "core/stencils/filter_list.h"
 #include "core/view.h"
 
 namespace kv::filters {

@@ -8,8 +8,8 @@
 // of a row have the pixels and weights for it in registers. Along y, rows near the border wait in shared memory until
 // the rows out of bounds that they receive are complete.
 
-#include "core/filter_list.cuh"
 #include "core/row_prefetcher.cuh"
+#include "core/stencils/filter_list.cuh"
 #include "filter2d.h"
 
 namespace kv::filters::cuda {

@@ -8,8 +8,8 @@
 // + weight * row.
 #pragma once
 
-#include "core/filter_list.cuh"
 #include "core/row_prefetcher.cuh"
+#include "core/stencils/filter_list.cuh"
 #include "separable.h"
 
 namespace kv::filters::cuda {

@@ -2,8 +2,8 @@
 // registers and compute two output rows a step. Half types and bytes are sorted two pixels at a time. Bytes are read by
 // groups of columns and sorted as they are stored, other types by strips. Other windows, and channels-last images, take
 // a plain kernel with one thread for each element.
-#include "core/filter_list.cuh"
 #include "core/stencils/column_groups.cuh"
+#include "core/stencils/filter_list.cuh"
 #include "core/stencils/pairs.cuh"
 #include "median.h"
 

@@ -15,8 +15,8 @@
 #pragma once
 
 #include "core/border.h"
-#include "core/filter_list.h"
 #include "core/isa.h"
+#include "core/stencils/filter_list.h"
 #include "core/view.h"
 #ifdef __CUDACC__
 #include "core/nan_min_max.cuh"

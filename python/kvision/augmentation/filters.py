@@ -513,7 +513,9 @@ def _median_gradients(needs: Any, grad: Tensor, x: Tensor, *window: Any) -> list
     return [median._backward(grad, x, median._median_blur(x, *window), *window)]
 
 
-def _register_linear(of: Operator, transposed: Operator, gradients: Callable[..., Any] | None = None) -> None:
+def _register_linear(
+    name: str, of: Operator, transposed_name: str, transposed: Operator, gradients: Callable[..., Any] | None = None
+) -> None:
     """A linear filter and its transpose, whose first arguments are None or a tensor that `gradients` has the gradient of."""
 
     def of_sample(b: int, *args: Any) -> tuple[Any, ...]:
@@ -522,11 +524,19 @@ def _register_linear(of: Operator, transposed: Operator, gradients: Callable[...
     def others(needs: Any, grad: Tensor, x: Tensor, *args: Any) -> Any:
         return [None] if gradients is None else gradients(needs, grad, x, *args)
 
-    register_filter(of, of_sample, others, transposed)
-    register_filter(transposed, of_sample, lambda needs, grad, x, *args: others(needs, x, grad, *args), of)
+    register_filter(name, of, of_sample, others, transposed)
+    register_filter(
+        transposed_name, transposed, of_sample, lambda needs, grad, x, *args: others(needs, x, grad, *args), of
+    )
 
 
-_register_linear(box._box_blur, box._transposed)
-_register_linear(gaussian._gaussian_blur2d, gaussian._transposed, _sigma_gradients)
-_register_linear(_filter2d, _filter2d_backward, _kernel_gradients)
-register_filter(median._median_blur, lambda b, *window: window, _median_gradients)
+_register_linear("box_blur_list", box._box_blur, "box_blur_backward_list", box._transposed)
+_register_linear(
+    "gaussian_blur2d_list",
+    gaussian._gaussian_blur2d,
+    "gaussian_blur2d_backward_list",
+    gaussian._transposed,
+    _sigma_gradients,
+)
+_register_linear("filter2d_list", _filter2d, "filter2d_backward_list", _filter2d_backward, _kernel_gradients)
+register_filter("median_blur_list", median._median_blur, lambda b, *window: window, _median_gradients)

@@ -90,17 +90,19 @@ def register_list(
 
 
 def register_filter(
+    name: str,
     of: Operator,
     of_sample: Callable[..., Arguments],
     backward: Callable[..., Sequence[Tensor | None]],
     transposed: Operator | None = None,
 ) -> None:
-    """The operator on lists of a filter, named as the one on batches and `_list`.
+    """The operator on lists of a filter.
 
     Its arguments behind the images are `chosen`, (B,) float32, 0 for images that are copied, or None, and those of the operator
     on batches.
 
     Args:
+        name: name of the operator, `torch.ops.kvision.<name>`.
         of: the operator on batches.
         of_sample: the arguments behind the images of sample b, for its number and those of all.
         backward: the gradients of the images of a batch and of the tensors behind them, for which of them are wanted, the
@@ -137,7 +139,7 @@ def register_filter(
         return [of_images, None, *(None if t[0] is None else _of_all(t, x) for t, x in zip(more, args))]
 
     _OF_LISTS[of] = ListOperator(
-        f"{of.name}_list",
+        name,
         of,
         reference,
         fake=lambda images, *args: lists.fake_results(images, [n for x in images for n in x.shape[-2:]]),

@@ -4,7 +4,7 @@
 
 #include <new>
 
-#include "filter_list.h"
+#include "core/stencils/filter_list.h"
 
 namespace kv {
 namespace {

@@ -2,7 +2,7 @@
 // one, for which the kernels of batches are run. Included by headers of filters.
 #pragma once
 
-#include "image_list.h"
+#include "core/image_list.h"
 
 namespace kv {
 

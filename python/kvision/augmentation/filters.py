@@ -13,8 +13,8 @@ from kvision import _check, enhance, filters
 from kvision._choices import Border
 from kvision._clamp import clamp
 from kvision._modes import BORDER
-from kvision._ops import Operator
 from kvision.augmentation.engine import AugmentationBase, Execution, Params
+from kvision.augmentation.filter_lists import box_blur, filter2d, gaussian_blur2d, median_blur
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
 from kvision.augmentation.keys import refuse_mapped
 from kvision.augmentation.random_generator.filters import (
@@ -25,11 +25,10 @@ from kvision.augmentation.random_generator.filters import (
 from kvision.augmentation.random_generator.plain import PlainUniformGenerator
 from kvision.augmentation.ranges import Numbers
 from kvision.constants import AnyBorderType, AnyResample, BorderType, Resample
-from kvision.filters.filter2d import _filter2d, _filter2d_backward, _kernel_backward
-from kvision.filters.smoothing import box, gaussian, median
+from kvision.filters.smoothing.box import box_arguments
+from kvision.filters.smoothing.gaussian import blur_arguments
 from kvision.filters.smoothing.motion import motion_arguments
-from kvision.geometry.transform.lists.arguments import row
-from kvision.geometry.transform.lists.kept_sizes import Operation, register_filter
+from kvision.geometry.transform.lists.kept_sizes import Operation
 
 __all__ = [
     "RandomAutoContrast",
@@ -87,7 +86,7 @@ class RandomBoxBlur(IntensityAugmentationBase2D, keeps_contract=True):
 
     def _operation(self, like: Tensor, params: Params) -> Operation:
         size, border = self.flags["kernel_size"], border_name(self.flags["border_type"])
-        return Operation(box._box_blur, box.box_arguments("RandomBoxBlur", like, size, border)[1:])
+        return Operation(box_blur, box_arguments("RandomBoxBlur", like, size, border)[1:])
 
 
 class RandomGaussianBlur(IntensityAugmentationBase2D, keeps_contract=True):
@@ -144,8 +143,8 @@ class RandomGaussianBlur(IntensityAugmentationBase2D, keeps_contract=True):
     def _operation(self, like: Tensor, params: Params) -> Operation:
         size, border = self.flags["kernel_size"], border_name(self.flags["border_type"])
         sigma = params["sigma"].unsqueeze(1).expand(-1, 2)
-        arguments = gaussian.blur_arguments("RandomGaussianBlur", like, size, sigma, border)
-        return Operation(gaussian._gaussian_blur2d, arguments[1:])
+        arguments = blur_arguments("RandomGaussianBlur", like, size, sigma, border)
+        return Operation(gaussian_blur2d, arguments[1:])
 
 
 class RandomMedianBlur(IntensityAugmentationBase2D, keeps_contract=True):
@@ -188,7 +187,7 @@ class RandomMedianBlur(IntensityAugmentationBase2D, keeps_contract=True):
     def _operation(self, like: Tensor, params: Params) -> Operation:
         ky, kx = _check.pair("RandomMedianBlur", "kernel_size", self.flags["kernel_size"])
         _check.reflectable("RandomMedianBlur", like, (ky // 2, kx // 2), "reflect")
-        return Operation(median._median_blur, (ky, kx, BORDER["reflect"]))
+        return Operation(median_blur, (ky, kx, BORDER["reflect"]))
 
 
 class DrawnKernelSize(AugmentationBase):
@@ -284,7 +283,7 @@ class RandomMotionBlur(DrawnKernelSize, IntensityAugmentationBase2D, keeps_contr
         line = size, params["angle_factor"], params["direction_factor"]
         mode: Any = Resample.get(self.flags["resample"]).name.lower()
         border = border_name(self.flags["border_type"])
-        return Operation(_filter2d, motion_arguments("RandomMotionBlur", like, *line, border, mode)[1:])
+        return Operation(filter2d, motion_arguments("RandomMotionBlur", like, *line, border, mode)[1:])
 
 
 class RandomSharpness(IntensityAugmentationBase2D, keeps_contract=True):
@@ -496,47 +495,3 @@ class RandomJPEG(IntensityAugmentationBase2D, keeps_contract=True):
 def border_name(border: Any) -> Any:
     """The name of a border as kvision.filters takes it."""
     return BorderType.get(border).name.lower()
-
-
-# --- lists ----------------------------------------------------------------------------------------------------------
-
-
-def _kernel_gradients(needs: Any, grad: Tensor, x: Tensor, kernel: Tensor, *rest: Any) -> list[Tensor | None]:
-    return [None, _kernel_backward(kernel, grad, x, *rest)]
-
-
-def _sigma_gradients(needs: Any, grad: Tensor, x: Tensor, *blur: Any) -> list[Tensor | None]:
-    return [None, gaussian.sigma_gradient(grad, x, *blur)]
-
-
-def _median_gradients(needs: Any, grad: Tensor, x: Tensor, *window: Any) -> list[Tensor | None]:
-    return [median._backward(grad, x, median._median_blur(x, *window), *window)]
-
-
-def _register_linear(
-    name: str, of: Operator, transposed_name: str, transposed: Operator, gradients: Callable[..., Any] | None = None
-) -> None:
-    """A linear filter and its transpose, whose first arguments are None or a tensor that `gradients` has the gradient of."""
-
-    def of_sample(b: int, *args: Any) -> tuple[Any, ...]:
-        return args if gradients is None else (row(args[0], b), *args[1:])
-
-    def others(needs: Any, grad: Tensor, x: Tensor, *args: Any) -> Any:
-        return [None] if gradients is None else gradients(needs, grad, x, *args)
-
-    register_filter(name, of, of_sample, others, transposed)
-    register_filter(
-        transposed_name, transposed, of_sample, lambda needs, grad, x, *args: others(needs, x, grad, *args), of
-    )
-
-
-_register_linear("box_blur_list", box._box_blur, "box_blur_backward_list", box._transposed)
-_register_linear(
-    "gaussian_blur2d_list",
-    gaussian._gaussian_blur2d,
-    "gaussian_blur2d_backward_list",
-    gaussian._transposed,
-    _sigma_gradients,
-)
-_register_linear("filter2d_list", _filter2d, "filter2d_backward_list", _filter2d_backward, _kernel_gradients)
-register_filter("median_blur_list", median._median_blur, lambda b, *window: window, _median_gradients)

@@ -11,7 +11,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._clamp import clamp
 from kvision._dtype import compute_dtype
-from kvision.augmentation import ranges
+from kvision.augmentation import filter_lists, ranges
 from kvision.augmentation.corruption.disk import disk_kernels
 from kvision.augmentation.corruption.glass import Moves, glass
 from kvision.augmentation.corruption.moved import sum_of_moved
@@ -20,7 +20,7 @@ from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
 from kvision.augmentation.random_generator.mapped import MappedGenerator
 from kvision.augmentation.ranges import Numbers
 from kvision.core.exceptions import ValueCheckError
-from kvision.filters.filter2d import _filter2d, filter2d, filter_arguments
+from kvision.filters.filter2d import filter2d, filter_arguments
 from kvision.geometry.transform.lists.kept_sizes import Operation
 
 
@@ -89,7 +89,7 @@ class Defocus(IntensityAugmentationBase2D, keeps_contract=True):
         deviation = params["alias_blur"].to(like.device, compute_dtype(like))
         radius = params["radius"].to(like.device, torch.int64)
         disks = disk_kernels(deviation, radius, self._largest)
-        return Operation(_filter2d, filter_arguments("filter2d", like, disks)[1:])
+        return Operation(filter_lists.filter2d, filter_arguments("filter2d", like, disks)[1:])
 
 
 class RingingOvershoot(IntensityAugmentationBase2D, keeps_contract=True):

@@ -14,9 +14,9 @@ from kvision._choices import Border
 from kvision._clamp import clamp
 from kvision._modes import BORDER
 from kvision.augmentation.engine import AugmentationBase, Execution, Params
-from kvision.augmentation.filter_lists import box_blur, filter2d, gaussian_blur2d, median_blur
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
 from kvision.augmentation.keys import refuse_mapped
+from kvision.augmentation.lists.filter_lists import box_blur, filter2d, gaussian_blur2d, median_blur
 from kvision.augmentation.random_generator.filters import (
     JPEGGenerator,
     MotionBlurGenerator,

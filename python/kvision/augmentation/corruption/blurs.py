@@ -11,12 +11,13 @@ from torch import Tensor
 from kvision import _check
 from kvision._clamp import clamp
 from kvision._dtype import compute_dtype
-from kvision.augmentation import filter_lists, ranges
+from kvision.augmentation import ranges
 from kvision.augmentation.corruption.disk import disk_kernels
 from kvision.augmentation.corruption.glass import Moves, glass
 from kvision.augmentation.corruption.moved import sum_of_moved
 from kvision.augmentation.engine import Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
+from kvision.augmentation.lists import filter_lists
 from kvision.augmentation.random_generator.mapped import MappedGenerator
 from kvision.augmentation.ranges import Numbers
 from kvision.core.exceptions import ValueCheckError

@@ -1,0 +1,1 @@
+"""Operators of augmentations on lists of images of different sizes."""

@@ -134,8 +134,8 @@ def register_filter(
                 own = None if own is None else torch.where(is_own, own, g[None])
                 others = [None if t is None else torch.where(is_own, t, 0.0) for t in others]
             each.append((own, *others))
-        own, *more = zip(*each)
-        of_images = [g[0] for g in own] if needs[0] else of_images
+        own_images, *more = zip(*each)
+        of_images = [g[0] for g in own_images] if needs[0] else of_images
         return [of_images, None, *(None if t[0] is None else _of_all(t, x) for t, x in zip(more, args))]
 
     _OF_LISTS[of] = ListOperator(

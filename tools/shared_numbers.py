@@ -139,7 +139,7 @@ def constant(name: str, file: str) -> str:
 
 
 def luma() -> list[str]:
-    return re.findall(r"\bkLuma(?:Red|Green|Blue) = ([\d.]+)", source("core/luma.h"))
+    return re.findall(r"\bkLuma(?:Red|Green|Blue) = ([\d.]+)", source("color/luma.h"))
 
 
 def color_steps() -> list[tuple[str, ...]]:
@@ -165,7 +165,7 @@ def python_files() -> Iterator[tuple[Path, str]]:
     yield (
         ROOT / "python/kvision/_limits.py",
         f'"""Limits of kernels, and constants of their formulas.\n\n{HEAD}\n"""\n\n{constants}'
-        f"LUMA = ({', '.join(luma())})  # ITU-R BT.601; csrc/core/luma.h\n",
+        f"LUMA = ({', '.join(luma())})  # ITU-R BT.601; csrc/color/luma.h\n",
     )
     rows_of_steps = "".join(
         f'"{name}": ({number}, {count}, ' + ", ".join(f'"{x}"' for x in others) + "),\n"

@@ -2,8 +2,8 @@
 // steps. Included by steps.h, which says how they are written.
 #pragma once
 
-#include "core/luma.h"
 #include "hue.h"
+#include "luma.h"
 
 namespace kv::color {
 

@@ -6,9 +6,9 @@
 #include <array>
 #include <span>
 
-#include "core/luma.h"
 #include "glue/expanded_scalar.h"
 #include "glue/views.h"
+#include "luma.h"
 #include "program.h"
 #include "program_clusters.h"
 

@@ -13,9 +13,9 @@
 // again; from the gradient of rgb to that of the levels before the blocks; and from these levels to the image.
 #pragma once
 
+#include "color/luma.h"
 #include "core/images.h"
 #include "core/isa.h"
-#include "core/luma.h"
 
 namespace kv::enhance {
 

@@ -144,4 +144,4 @@ MAX_PIXELATE_SIDE = 32767  # kMaxPixelateSide in csrc/augmentation/corruption/pi
 FAR_FROM_OUTLINE = 20  # kFarFromOutline in csrc/augmentation/corruption/drops.h
 MAX_PIXELATE_ROW = 10240  # kMaxPixelateRow in csrc/augmentation/corruption/pixelate.h
 MAX_TRANSFORMS = 16  # kMaxTransforms in csrc/augmentation/transforms.h
-LUMA = (0.299, 0.587, 0.114)  # ITU-R BT.601; csrc/core/luma.h
+LUMA = (0.299, 0.587, 0.114)  # ITU-R BT.601; csrc/color/luma.h

@@ -2,8 +2,8 @@
 // kvision.augmentation defines them.
 #pragma once
 
+#include "color/luma.h"
 #include "core/isa.h"
-#include "core/luma.h"
 
 namespace kv::augmentation {
 

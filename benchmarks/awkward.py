@@ -177,6 +177,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         measured.append(cost)
         if cost.failure:
             print(f"{cost.case} {cost.dtype} {cost.shape}: {cost.failure}", flush=True)
+        else:  # for runs that do not reach the table
+            print(f"{cost.case} {cost.dtype} {cost.shape}: {cost.floors:.2f}", file=sys.stderr, flush=True)
         if time.perf_counter() - start > options.limit:
             print("(stopped by --limit)")
             break

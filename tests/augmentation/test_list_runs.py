@@ -11,6 +11,7 @@ from torch._subclasses.fake_tensor import FakeTensorMode
 from augmentation.test_lists import SMALL, pictures, seeds_of
 from benchmarks.timing import launches
 from kvision import augmentation as A
+from kvision._backend import current_backend
 from kvision.augmentation.drawn_pass import DrawnListPass
 from kvision.augmentation.engine import list_runs
 from op_tests import assert_close
@@ -59,6 +60,14 @@ def is_by_passes(augment):
     return type(augment._record.parts) is list_runs.ListParts
 
 
+def same(a, b):
+    """The same bits; torch's convolutions, by which the reference blurs, have others for each size of a batch."""
+    if current_backend() != "reference":
+        return torch.equal(a, b)
+    steps = {torch.uint8: 1, torch.float16: 1e-3}.get(a.dtype, 1e-5)
+    return a.shape == b.shape and torch.allclose(a.double(), b.double(), rtol=0, atol=steps)
+
+
 @pytest.mark.parametrize("channels", [1, 3])
 @pytest.mark.parametrize("dtype", [torch.uint8, torch.float16, torch.float32, torch.float64], ids=str)
 @pytest.mark.parametrize("name", PASSES)
@@ -73,13 +82,13 @@ def test_passes_over_a_list(name, dtype, channels, device):
         results = augment(given, seed=seeds)
         assert is_by_passes(augment)
         for b, x in enumerate(given):
-            assert torch.equal(results[b], augment(x[None], seed=seeds[b : b + 1])[0])
+            assert same(results[b], augment(x[None], seed=seeds[b : b + 1])[0])
     equal = [x[:, :15, :16].contiguous() for x in images]
     for options in ({"seed": 3}, {}):
         torch.manual_seed(0)
         results = augment(equal, **options)
         torch.manual_seed(0)
-        assert all(torch.equal(a, b) for a, b in zip(results, augment(torch.stack(equal), **options)))
+        assert all(same(a, b) for a, b in zip(results, augment(torch.stack(equal), **options)))
 
 
 @pytest.mark.parametrize("dtype", [torch.uint8, torch.float16, torch.float32], ids=str)
@@ -93,7 +102,7 @@ def test_noise_of_a_list(name, dtype, device):
         assert is_by_passes(augment)
         params = augment._params
         for b, x in enumerate(given):
-            assert torch.equal(results[b], augment(x[None], seed=seeds[b : b + 1])[0])
+            assert same(results[b], augment(x[None], seed=seeds[b : b + 1])[0])
         replayed = augment(given, params=params)
         for a, b in zip(results, replayed):
             assert_close(a, b, *((0, 1) if dtype == torch.uint8 else (2e-3, 2e-3)))
@@ -103,7 +112,7 @@ def test_noise_of_a_list(name, dtype, device):
         results, params = augment(equal, **options), augment._params
         torch.manual_seed(0)
         batch = augment(torch.stack(equal), **options)
-        assert all(torch.equal(a, b) for a, b in zip(results, batch))
+        assert all(same(a, b) for a, b in zip(results, batch))
         for a, b in zip(augment(equal, params=params), batch):
             assert_close(a, b, *((0, 1) if dtype == torch.uint8 else (2e-3, 2e-3)))
 
@@ -294,4 +303,4 @@ def test_noise_behind_a_late_crop_is_that_of_each_image(device):
     assert is_by_passes(augment)
     assert_close(augment(images, params=params), results, 1e-5, 1e-5)
     for b, x in enumerate(images):
-        assert torch.equal(results[b], augment(x[None], seed=seeds[b : b + 1])[0])
+        assert same(results[b], augment(x[None], seed=seeds[b : b + 1])[0])

@@ -39,7 +39,7 @@ KV_HD void filter_items(List const& p, int64_t begin, int64_t end, Run run) {
     if (p.copies(b)) {
       for (int64_t r = from; r < to; ++r)
         __builtin_memcpy(one.y.row(r / height, r % height), one.x.row(r / height, r % height),
-                         size_t(one.y.row_size()) * sizeof(*one.y.data));
+                         uint64_t(one.y.row_size()) * sizeof(*one.y.data));
     } else {
       run(one, from, to);
     }

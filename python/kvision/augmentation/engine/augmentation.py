@@ -169,13 +169,8 @@ class AugmentationBase(Executor, keeps_contract=True):
         if params is None or flags is not self.flags:
             return None
         op = type(self).__name__
-        context = CallContext.of_module(op, None, None)._replace(plans=self._plans)
-        y = replay_list(images, [Child(op, self, params)], context)
-        if y is None:
-            return None
-        shapes, outputs = [tuple(x.shape) for x in images], [images[0].new_empty(1)] * len(images)
-        parts = functools.partial(Parts.of_params, op, params, shapes, outputs, self._execution_of_part)
-        return y, ReplayedParts(op, images, parts)
+        y = replay_list(images, [Child(op, self, params)], CallContext.of_module(op, None, None, self._plans))
+        return None if y is None else (y, ReplayedParts(op, images, params, self._execution_of_part))
 
     def _call_part(
         self, flags: dict[str, Any], inputs: Sequence[Any], params: Any, seed: Seed, generator: Generator | None

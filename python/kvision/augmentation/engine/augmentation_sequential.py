@@ -367,13 +367,14 @@ class AugmentationSequential(ImageSequential):
         self, keys: list[DataKey], inputs: list[Any], params: Any, masks: dict[int, labels.MaskCounts] | None = None
     ) -> tuple[list[Any], Record]:
         """Labels without their images, moved by the last call or by given parameters."""
-        parts = self._parts_of(params, like=_no_image(inputs))
+        image = _no_image(inputs)
+        parts = self._parts_of(params, like=image)
         if parts is not None:
             views, masks = zip(parts.views(self), parts.rows), labels.count_masks(keys, inputs)
             each = [view._move_alone(keys, parts.inputs(rows, keys, inputs), None, masks) for view, rows in views]
             moved = Parts(parts.op, parts.rows, [record for _, record in each])
             return parts.outputs(keys, inputs, [outputs for outputs, _ in each]), Record(parts=moved)
-        last, record = self._record, self._record_of(_no_image(inputs), params).replaced()
+        last, record = self._record, self._record_of(image, params).replaced()
         inputs, restore = as_frames(last.videos, keys, inputs)
         outputs = self._with_labels(keys, inputs, record, self._label_settings, masks)
         return as_videos(last.videos, outputs, restore), last.replaced(labels=record.labels)
@@ -444,7 +445,8 @@ class AugmentationSequential(ImageSequential):
 
     def _invert_all(self, keys: list[DataKey], inputs: list[Any], params: Any) -> list[Any]:
         first = keys.index(DataKey.INPUT) if DataKey.INPUT in keys else None
-        parts = self._parts_of(params, None if first is None else inputs[first], _no_image(inputs))
+        outputs, like = (None, _no_image(inputs)) if first is None else (inputs[first], None)
+        parts = self._parts_of(params, outputs, like)
         if parts is not None:
             views = zip(parts.views(self), parts.rows)
             each = [view._invert_all(keys, parts.inputs(rows, keys, inputs), None) for view, rows in views]

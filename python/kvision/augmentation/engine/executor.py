@@ -295,8 +295,8 @@ class Executor(Declaration):
         if flags is not self.flags:
             return self._pass_of(dtype, shape, span, flags, params)
         key = (dtype, shape, span, *self._constants(shape, params))
-        kept: Pass | None = self._plans.made(key, lambda: self._pass_of(dtype, shape, span, flags, params))
-        return kept
+        planned: Pass | None = self._plans.made(key, lambda: self._pass_of(dtype, shape, span, flags, params))
+        return planned
 
     # --- execution ---
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import functools
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, get_args
 
@@ -424,11 +423,7 @@ class ImageSequential(ImageSequentialBase):
             return None
         if isinstance(y, list) and gives_one_size(self):
             y = torch.stack(y)
-        shapes, outputs = [tuple(x.shape) for x in images], [images[0].new_empty(1)] * len(images)
-        parts = functools.partial(Parts.of_params, context.op, params, shapes, outputs, self._record_of_part)
-        record = Record(parts=ReplayedParts(context.op, images, parts))
-        record.items = params
-        return [y], record
+        return [y], Record(parts=ReplayedParts(context.op, images, params, self._record_of_part), items=params)
 
     def _with_labels_of_list(self, keys: Sequence[DataKey], inputs: Sequence[Any], y: Any, parts: Any) -> list[Any]:
         """What the inputs of a call on a list become, whose images became y."""

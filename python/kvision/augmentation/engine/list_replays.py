@@ -31,15 +31,17 @@ from kvision.geometry.transform.lists.arguments import sizes as sides_of
 
 
 class ReplayedParts(Parts):
-    """The parts of a call with given parameters, each an image, which `make` makes when they are asked for."""
+    """The parts of a call with given parameters, each an image, for which `call` says what was done when they are asked for."""
 
-    def __init__(self, op: str, images: Sequence[Tensor], make: Callable[[], Parts]) -> None:
-        self.op, self.count, self._make, self._shape = op, len(images), make, largest_shape(images)
+    def __init__(self, op: str, images: Sequence[Tensor], params: Any, call: Callable[[Tensor, Any, Any], Any]) -> None:
+        self.op, self.count, self._params, self._call = op, len(images), params, call
+        self._shapes, self._shape = [tuple(x.shape) for x in images], largest_shape(images)
+        self._like = images[0].new_empty(1)  # and not the images, which would be kept
         self.rows = [[b] for b in range(self.count)]
 
     @cached_property
     def calls(self) -> list[Any]:  # type: ignore[override]
-        return self._make().calls
+        return Parts.of_params(self.op, self._params, self._shapes, [self._like] * self.count, self._call).calls
 
     @property
     def shape(self) -> tuple[int, ...]:

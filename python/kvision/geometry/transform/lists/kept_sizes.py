@@ -79,6 +79,13 @@ def register_list(
         found = [None if own[0] is None else _of_all(own, x) for own, x in zip(others, args)]
         return [[g[0] for g in of_images] if needs[0] else None, *found, *(None,) * (len(needs) - 1 - len(found))]
 
+    return _register(name, of, reference, gradients)
+
+
+def _register(
+    name: str, of: Operator, reference: Callable[..., list[Tensor]], gradients: Callable[..., list[Any]]
+) -> ListOperator:
+    """The operator on lists, whose results have the sizes of the images."""
     _OF_LISTS[of] = ListOperator(
         name,
         of,
@@ -138,14 +145,7 @@ def register_filter(
         of_images = [g[0] for g in own_images] if needs[0] else of_images
         return [of_images, None, *(None if t[0] is None else _of_all(t, x) for t, x in zip(more, args))]
 
-    _OF_LISTS[of] = ListOperator(
-        name,
-        of,
-        reference,
-        fake=lambda images, *args: lists.fake_results(images, [n for x in images for n in x.shape[-2:]]),
-        backward=gradients,
-    )
-    _FILTERS.add(_OF_LISTS[of])
+    _FILTERS.add(_register(name, of, reference, gradients))
 
 
 def _of_all(each: Sequence[Tensor], like: Tensor) -> Tensor:

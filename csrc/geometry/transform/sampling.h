@@ -3,7 +3,7 @@
 //
 // Along an axis a coordinate x has 1, 2 or 4 taps, the pixels around it, with weights of t = x - floor(x):
 //
-//   nearest    round(x), half to even
+//   nearest    round(x), half to even, of x in multiples of 2^-12 (double: 2^-30)
 //   bilinear   floor(x), floor(x) + 1                       1 - t, t
 //   bicubic    floor(x) - 1 ... floor(x) + 2                Keys' cubic with a = -3/4, as OpenCV and torch have it
 //

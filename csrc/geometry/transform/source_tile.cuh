@@ -17,7 +17,7 @@ namespace kv::geometry::cuda {
 template <int K>
 __device__ __forceinline__ int near_tap(float x, float& t) {
   constexpr float kLarge = 0x1.8p23f;
-  float const sum = K == 1 ? x + kLarge : __fadd_rd(x, kLarge);
+  float const sum = K == 1 ? snapped<float>(x) + kLarge : __fadd_rd(x, kLarge);
   t = K == 1 ? 0 : x - (sum - kLarge);
   return __float_as_int(sum) - (0x4b400000 + (K == 4));
 }

@@ -106,13 +106,22 @@ KV_TAPS I pixel_at(Axis<F> const& axis, I i) {
 
 constexpr float kCubic = -0.75f;  // of Keys' cubic, as OpenCV and torch have it
 
+// The coordinate of which the nearest pixel is read, in multiples of 2^-12 (double: 2^-30; larger ones beyond 1024
+// pixels): resized crops have whole rows midway between two pixels but for errors of rounding, which differ between
+// processors.
+template <class F, class V>
+KV_TAPS V snapped(V x) {
+  constexpr F shift = sizeof(F) == 4 ? F(0x1.8p11) : F(0x1.8p22);
+  return (x + shift) - shift;
+}
+
 // The first of K taps, and the fraction of x, which is near the image.
 template <int K, class F, class V>
 KV_TAPS auto first_tap(V x, V& t) {
   if constexpr (K == 1) {
     constexpr F shift = sizeof(F) == 4 ? F(0x1.8p23) : F(0x1.8p52);  // rounds a number less than a quarter of it
     t = V{};
-    return floor_to_int<F>(V((x + shift) - shift));
+    return floor_to_int<F>(V((snapped<F>(x) + shift) - shift));
   } else {
     auto const whole = floor_to_int<F>(x);
     t = x - to_float<F>(whole);

@@ -1,5 +1,7 @@
 """Labels, masks and other integers in nearest modes: moved as they are, whatever their type and size."""
 
+from fractions import Fraction
+
 import pytest
 import torch
 from torch import Tensor
@@ -115,3 +117,19 @@ def test_integers_compile(device):
     x = labels(torch.int64, 2, 3, 8, 10).to(device)
     call = CALLS["resize"]
     assert torch.equal(torch.compile(call, backend="aot_eager", fullgraph=True, dynamic=True)(x), call(x))
+
+
+@pytest.mark.parametrize("width", [11, 30, 57, 96])
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64, torch.uint8], ids=str)
+def test_midway_between_two_pixels_is_the_even_one(dtype, width, device):
+    """Whatever the errors of rounding of matrices and coordinates, so that all devices give one result."""
+    row = torch.arange(80, device=device).to(dtype).expand(1, 1, 5, 80)
+    matrices, expected = [], []
+    for size in range(2, 60):
+        step, first = Fraction(size, width), size % 6
+        coords = [(2 * i + 1) * step / 2 - Fraction(1, 2) + first for i in range(width)]
+        expected.append([min(max(round(x), 0), 79) for x in coords])
+        matrices.append([[float(1 / step), 0, float((Fraction(1, 2) - first) / step - Fraction(1, 2))], [0, 1.0, 0]])
+    matrix = torch.tensor(matrices, dtype=torch.float64 if dtype == torch.float64 else torch.float32, device=device)
+    read = G.warp_affine(row.expand(len(matrices), -1, -1, -1), matrix, (5, width), "nearest", "border")
+    assert torch.equal(read, torch.tensor(expected, device=device).to(dtype)[:, None, None].expand_as(read))

@@ -74,7 +74,7 @@ def _taps(
     """The taps along an axis: index of the pixel, weight, whether it is in bounds."""
     x = _near_image(x, size, padding, align_corners)
     if interpolation == "nearest":
-        first, weights = x.detach().round(), [1 + 0 * x]  # its gradient is 0, where torch gives none
+        first, weights = _nearest(x.detach()), [1 + 0 * x]  # its gradient is 0, where torch gives none
     else:
         first = x.detach().floor()
         t = x - first
@@ -96,6 +96,12 @@ def _taps(
         pixel = i.clamp(0, size - 1)
         taps.append((pixel, weight, (i == pixel) | (padding != "fill")))
     return taps
+
+
+def _nearest(x: Tensor) -> Tensor:
+    """The nearest pixels. Midway but for an error of rounding is midway: half to even, whatever computed the coordinates."""
+    shift = 1.5 * 2.0 ** (22 if x.dtype == torch.float64 else 11)  # the sum has digits down to 2^-30 and 2^-12
+    return ((x + shift) - shift).round()
 
 
 def _near_image(x: Tensor, size: int, padding: str, align_corners: bool) -> Tensor:

@@ -83,7 +83,7 @@ class TestComposedWarp(OpTests):
         {"a": small_map, "b": displacements, "c": homographies, "size": (7, 20), "padding": "reflection"},
         {"a": homographies, "b": small_map, "size": (7, 20), "fill": lambda x: torch.tensor([[0.3]])},
         {"a": homographies, "b": displacements, "c": homographies, "size": (9, 11), "mode": "bicubic"},
-        {"a": homographies, "b": displacements, "size": (15, 11), "mode": "nearest"},
+        {"a": displacements, "b": homographies, "size": (15, 11), "mode": "nearest"},
     ]
     tolerances = {torch.float32: (1e-4, 1e-4), torch.uint8: (0, 1)}  # coordinates are float numbers
 

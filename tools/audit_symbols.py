@@ -6,16 +6,21 @@
 - No two instruction sets share a symbol. The linker keeps one of equal symbols, and code for AVX-512 must not run on a
   processor without it.
 - torch is included by csrc/glue and the *_op.cpp files alone.
+- ptxas takes the PTX that is in the CUDA library: an instruction that its architecture has not is seen without machine code for it.
 """
 
 from __future__ import annotations
 
 import argparse
 import itertools
+import os
 import re
+import shutil
 import subprocess
 import sys
+import tempfile
 from collections.abc import Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -91,6 +96,23 @@ def torch_includes() -> Iterator[str]:
             yield f"{path.relative_to(ROOT)}: includes torch"
 
 
+def refused_ptx(library: Path) -> Iterator[str]:
+    """What ptxas says of the PTX in a library, which the driver would say on a user's machine."""
+    if shutil.which("cuobjdump") is None or shutil.which("ptxas") is None:
+        yield f"{library.name}: its PTX was not read, as cuobjdump or ptxas is not on the PATH"
+        return
+    with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(os.cpu_count()) as pool:
+        subprocess.run(["cuobjdump", "--extract-ptx", "all", library], check=True, capture_output=True, cwd=folder)
+
+        def refused(path: Path) -> list[str]:
+            architecture = path.suffixes[-2].replace(".sm_", "compute_")  # a name that asks for no machine code
+            result = subprocess.run(["ptxas", f"-arch={architecture}", path], capture_output=True, text=True)
+            return result.stderr.splitlines() if result.returncode else []
+
+        for lines in pool.map(refused, sorted(Path(folder).iterdir())):
+            yield from (line.replace(f"{folder}/", "") for line in lines)
+
+
 def audit() -> Iterator[str]:
     """One line for each violated invariant."""
     cpu, cuda = LIBRARIES / "libkvision.so", LIBRARIES / "libkvision_cuda.so"
@@ -100,6 +122,7 @@ def audit() -> Iterator[str]:
     if cuda.exists():
         yield from undefined_symbols(cuda)
         yield from needed_libraries(cuda, {"libtorch_cpu.so", "libtorch_cuda.so"})
+        yield from refused_ptx(cuda)
     if build := build_folder():
         yield from shared_symbols(build)
 

@@ -49,7 +49,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         action="append",
         default=[],
         metavar="MARKER=N",
-        help="of the parametrized tests with this marker run one of N, always the same ones",
+        help="of each parametrized test with this marker run a part of 1/N, rounded up, always the same one",
     )
 
 
@@ -119,9 +119,14 @@ def pytest_collection() -> Iterator[None]:
         gc.enable()
 
 
-def is_left_out(name: str, share: int) -> bool:
-    """Whether a test with parameters is none of the one in `share` that runs. A test without is one of its kind."""
-    return "[" in name and zlib.crc32(name.encode()) % share != 0
+def thinned(items: list[pytest.Item], share: int) -> Iterator[pytest.Item]:
+    """Of each parametrized test the ones to leave out of a run of one in `share`: at least one of its parameters stays."""
+    tests: dict[str, list[pytest.Item]] = {}
+    for item in items:
+        tests.setdefault(item.nodeid.partition("[")[0], []).append(item)
+    for each in tests.values():
+        each.sort(key=lambda item: zlib.crc32(item.nodeid.encode()))
+        yield from each[-(-len(each) // share) :]
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
@@ -150,8 +155,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     left = {
         item
         for marker, _, count in (option.partition("=") for option in config.option.thin)
-        for item in items
-        if item.get_closest_marker(marker) and is_left_out(item.nodeid, int(count))
+        for item in thinned([item for item in items if item.get_closest_marker(marker)], int(count))
     }
     if left:
         config.hook.pytest_deselected(items=left)

@@ -392,7 +392,6 @@ class TestFramesToRgb(FrameTests):
 
 class TestResizeFrames(FrameTests):
     function = of_planes(C.resize_frames)
-    compiler = "aot_eager"
     variants = [
         {
             "dsize": (5, 7),
@@ -406,7 +405,6 @@ class TestResizeFrames(FrameTests):
 @pytest.mark.slow
 class TestWarpFrames(FrameTests):
     function = of_planes(C.warp_frames)
-    compiler = "aot_eager"
     variants = [
         {
             "dsize": (7, 9),

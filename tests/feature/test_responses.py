@@ -21,6 +21,7 @@ def sigmas(x):
 class TestHarris(OpTests):
     function = staticmethod(F.harris_response)
     operators = ("corner_response", "corner_response_backward")
+    compiler = "inductor"
     variants = [
         {"k": 0.04},
         {"k": 0.06, "grads_mode": "diff", "sigmas": sigmas},

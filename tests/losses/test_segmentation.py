@@ -84,6 +84,7 @@ class TestTversky(Segmentation):
 class TestDice(Segmentation):
     function = staticmethod(L.dice_loss)
     operators = ("overlap", "overlap_backward")
+    compiler = "inductor"
     variants = [
         {"target": labels, "ignore_index": -1},
         {"target": labels, "ignore_index": -1, "average": "macro", "weight": lambda x: torch.linspace(0.5, 2, 4)},

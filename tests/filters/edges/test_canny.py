@@ -12,6 +12,7 @@ from op_tests import OpTests, assert_close
 class TestCanny(OpTests):
     function = staticmethod(K.filters.canny)
     module = K.filters.Canny
+    compiler = "inductor"
     operators = (
         "color_program",
         "color_program_backward",

@@ -10,6 +10,7 @@ class TestSobel(OpTests):
     function = staticmethod(K.filters.sobel)
     module = K.filters.Sobel
     operators = ("sobel", "sobel_backward")
+    compiler = "inductor"
     variants = variants("sobel")
     # Where both gradients nearly vanish, rounding decides their direction, and the gradient follows it.
     tolerances = {torch.float32: (5e-4, 5e-6)}

@@ -26,6 +26,7 @@ WARP = ("warp", "warp_image_backward", "warp_matrix_backward")
 class TestWarpAffine(WarpTests):
     function = staticmethod(G.warp_affine)
     operators = WARP
+    compiler = "inductor"
     max_size = 7
     variants = [
         {"M": affine, "dsize": (8, 11)},

@@ -12,6 +12,7 @@ from torch import Generator, Tensor, nn
 from kvision import _check
 from kvision._choices import EachOrOnce, MatrixMode, OutputType
 from kvision.augmentation import labels
+from kvision.augmentation.arguments import Arguments, as_given
 from kvision.augmentation.engine.augmentation import RigidAffineAugmentationBase2D, RigidAffineAugmentationBase3D
 from kvision.augmentation.engine.call_labels import CallLabels
 from kvision.augmentation.engine.image_sequential import ImageSequential
@@ -22,23 +23,17 @@ from kvision.augmentation.engine.record import ParamItem, Record
 from kvision.augmentation.engine.stages import Chain, LabelSettings, MaskReading
 from kvision.augmentation.engine.video_sequential import VideoSequential
 from kvision.augmentation.inputs import (
-    Entries,
     VideoLayout,
     as_frames,
     as_output_type,
     as_videos,
     check_matrix,
     check_output_type,
-    image_and_matrix,
-    image_of,
-    label_of,
     labels_as_videos,
-    parse_entries,
     parse_names,
 )
 from kvision.augmentation.keys import Seed
 from kvision.augmentation.samples import inverse_at
-from kvision.augmentation.tv_samples import Sample, as_given, as_tensors, holds_tv_tensors, sample_of
 from kvision.color.frames import Frames
 from kvision.constants import AnyDataKey, DataKey, DataKeys, Resample
 from kvision.core.exceptions import BaseError, ValueCheckError
@@ -207,12 +202,13 @@ class AugmentationSequential(ImageSequential):
         """
         if output_type != "pt":
             check_output_type(self, output_type)
-        entries, given, keys, values = self._inputs_of(args, data_keys)
+        arguments = Arguments(self, args, data_keys)
+        keys, values = arguments.keys, arguments.values
         image = keys.index(DataKey.INPUT) if DataKey.INPUT in keys else None
         source = values[image] if image is not None and isinstance(values[image], Frames) else None
         if source is not None and image is not None:
             values[image] = source._like()
-        before = None if {*map(type, values)} == {Tensor} else self._convert(keys, values, image)
+        before = None if {*map(type, values)} == {Tensor} else arguments.convert(self, image)
         record: Record
         if image is not None and isinstance(values[image], list) and not self._reads_lists():
             values[image] = self.transform_tensor(values[image])
@@ -220,69 +216,13 @@ class AugmentationSequential(ImageSequential):
         else:
             outputs, record = self._call(keys, values, params, seed, generator, before, source)
         self._keep(record)
-        if given is not None:
-            outputs = as_given(outputs, given, keys)
+        if arguments.given is not None:
+            outputs = as_given(outputs, arguments.given, keys)
         if image is not None:
             outputs[image] = self._with_matrix(outputs[image], before, return_transform, record)
         if output_type != "pt":
             outputs = [as_output_type(output, output_type, key) for output, key in zip(outputs, keys)]
-        return self._as_arguments(entries, outputs)
-
-    def _inputs_of(
-        self, args: Sequence[Any], data_keys: DataKeys | None, is_inverse: bool = False
-    ) -> tuple[Entries | Sample | None, list[Any] | None, list[DataKey], list[Any]]:
-        """What follows the images, and what they are, with the entries and the tv_tensors that they come from, if they do."""
-        entries = self._sample(args, data_keys)
-        if entries is not None:
-            keys, values = entries.keys, entries.values
-        else:
-            keys, values = self._keys_of(args, data_keys, is_inverse), list(args)
-        if not holds_tv_tensors(values):
-            return entries, None, keys, values
-        return entries, values, *as_tensors(self, keys, values, entries is not None)
-
-    @staticmethod
-    def _as_arguments(entries: Entries | Sample | None, outputs: list[Any]) -> Any:
-        """Results in the form in which the arguments were given."""
-        if entries is not None:
-            return entries.merged(outputs)
-        return outputs[0] if len(outputs) == 1 else outputs
-
-    def _convert(self, keys: Sequence[DataKey], values: list[Any], image: int | None) -> Tensor | None:
-        """Put tensors in place of values of NumPy and PIL, and of the first image; gives the matrices that came with it."""
-        before = like = None
-        if image is not None:
-            like, before = image_and_matrix(self, image_of(self, values[image]))
-            values[image] = like
-        for i, (key, value) in enumerate(zip(keys, values)):
-            is_image = key == DataKey.INPUT
-            values[i] = image_of(self, value) if is_image else label_of(key, value, like, self._keeps_axes())
-            labels.check_one_type(key, values[i])
-        return before
-
-    def _sample(self, args: Sequence[Any], data_keys: DataKeys | None) -> Entries | Sample | None:
-        """What follows the images among the entries of a dict, or among tv_tensors; None for arguments by their keys."""
-        if len(args) == 1 and isinstance(args[0], Tensor):
-            return None
-        if data_keys is None and (self.data_keys is None or len(self.data_keys) != len(args) or len(args) == 1):
-            sample = sample_of(_OP, args, lambda data: parse_entries(_OP, data, self._names, self, set(data)))
-            if sample is not None:
-                return sample
-        if len(args) != 1 or not isinstance(args[0], Mapping):
-            return None
-        return parse_entries(_OP, args[0], self._names, self, self._warned)
-
-    def _keys_of(self, args: Sequence[Any], data_keys: DataKeys | None, is_inverse: bool) -> list[DataKey]:
-        """The keys of arguments: those of the call, or else of the constructor; the inverse may have some of its inputs."""
-        keys = self.data_keys if data_keys is None else labels.parse_data_keys(_OP, data_keys)
-        if is_inverse:
-            return keys or [DataKey.INPUT]
-        if keys is None:
-            raise ValueCheckError(f"{_OP}: without data_keys, expected one dict")
-        if len(keys) != len(args):
-            names = [key.name.lower() for key in keys]
-            raise ValueCheckError(f"{_OP}: expected {len(keys)} inputs for {names}, got {len(args)}")
-        return keys
+        return arguments.merged(outputs)
 
     def _call_of_parts(self, keys: Sequence[DataKey], inputs: Sequence[Any]) -> Callable[..., Any]:
         masks = labels.count_masks(keys, inputs)
@@ -438,10 +378,11 @@ class AugmentationSequential(ImageSequential):
         Returns:
             What was given, moved back to the images before the call; one tensor for one key, else a list or a dict.
         """
-        entries, given, keys, values = self._inputs_of(args, data_keys, is_inverse=True)
-        outputs = self._invert_all(keys, values, params)
-        outputs = outputs if given is None else as_given(outputs, given, keys)
-        return self._as_arguments(entries, outputs)
+        arguments = Arguments(self, args, data_keys, is_inverse=True)
+        outputs = self._invert_all(arguments.keys, arguments.values, params)
+        if arguments.given is not None:
+            outputs = as_given(outputs, arguments.given, arguments.keys)
+        return arguments.merged(outputs)
 
     def _invert_all(self, keys: list[DataKey], inputs: list[Any], params: Any) -> list[Any]:
         first = keys.index(DataKey.INPUT) if DataKey.INPUT in keys else None

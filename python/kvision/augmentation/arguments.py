@@ -1,4 +1,4 @@
-"""Samples with torchvision's tv_tensors: what each input is by its class, as tensors, and results of the same classes."""
+"""The arguments of a call with labels: by data keys, in a dict, or among torchvision's tv_tensors; and results in their form."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ from torch import Tensor
 
 from kvision._torch_compat import tree_flatten, tree_unflatten
 from kvision._tv_tensors import TV_TENSORS, kind_of, plain, wrap
-from kvision.augmentation.inputs import plain_image
-from kvision.constants import DataKey
+from kvision.augmentation import labels
+from kvision.augmentation.inputs import Entries, image_and_matrix, image_of, label_of, parse_entries, plain_image
+from kvision.constants import DataKey, DataKeys
 from kvision.core.exceptions import TypeCheckError, ValueCheckError
 
 _KEYS = {
@@ -42,6 +43,75 @@ class Sample(NamedTuple):
         results = dict(zip(self.where, outputs))
         nested = tree_unflatten([results.get(i, value) for i, value in enumerate(self.flat)], self.spec)
         return nested[0] if len(nested) == 1 else nested
+
+
+class Arguments:
+    """What the arguments of a container are: values by data keys, the image of a dict first.
+
+    Args:
+        module: the container, with the settings `data_keys` and `keys`.
+        args: those of a call.
+        data_keys: those of the call.
+        is_inverse: some of the values may be missing.
+    """
+
+    def __init__(self, module: Any, args: Sequence[Any], data_keys: DataKeys | None, is_inverse: bool = False) -> None:
+        sample = _sample(module, args, data_keys)
+        if sample is not None:
+            keys, values = sample.keys, sample.values
+        else:
+            keys, values = _keys_of(module, args, data_keys, is_inverse), list(args)
+        self.sample = sample  # a dict, or nested arguments, that the values are in; None where these are the arguments
+        self.given: list[Any] | None = None  # the values where some are tv_tensors
+        if holds_tv_tensors(values):
+            self.given, (keys, values) = values, as_tensors(module, keys, values, sample is not None)
+        self.keys, self.values = keys, values
+
+    def convert(self, module: Any, image: int | None) -> Tensor | None:
+        """Put tensors in place of values of NumPy and PIL, and of the image; gives the matrices that came with it."""
+        before = like = None
+        if image is not None:
+            like, before = image_and_matrix(module, image_of(module, self.values[image]))
+            self.values[image] = like
+        for i, (key, value) in enumerate(zip(self.keys, self.values)):
+            is_image = key == DataKey.INPUT
+            self.values[i] = image_of(module, value) if is_image else label_of(key, value, like, module._keeps_axes())
+            labels.check_one_type(key, self.values[i])
+        return before
+
+    def merged(self, outputs: list[Any]) -> Any:
+        """Results in the form in which the arguments were given."""
+        if self.sample is not None:
+            return self.sample.merged(outputs)
+        return outputs[0] if len(outputs) == 1 else outputs
+
+
+def _sample(module: Any, args: Sequence[Any], data_keys: DataKeys | None) -> Entries | Sample | None:
+    """What follows the images among the entries of a dict, or among tv_tensors; None for arguments by their keys."""
+    if len(args) == 1 and isinstance(args[0], Tensor):
+        return None
+    op, known = type(module).__name__, module.data_keys
+    if data_keys is None and (known is None or len(known) != len(args) or len(args) == 1):
+        sample = sample_of(op, args, lambda data: parse_entries(op, data, module._names, module, set(data)))
+        if sample is not None:
+            return sample
+    if len(args) != 1 or not isinstance(args[0], Mapping):
+        return None
+    return parse_entries(op, args[0], module._names, module, module._warned)
+
+
+def _keys_of(module: Any, args: Sequence[Any], data_keys: DataKeys | None, is_inverse: bool) -> list[DataKey]:
+    """The keys of arguments: those of the call, or else of the container; the inverse may have some of its inputs."""
+    op = type(module).__name__
+    keys: list[DataKey] | None = module.data_keys if data_keys is None else labels.parse_data_keys(op, data_keys)
+    if is_inverse:
+        return keys or [DataKey.INPUT]
+    if keys is None:
+        raise ValueCheckError(f"{op}: without data_keys, expected one dict")
+    if len(keys) != len(args):
+        names = [key.name.lower() for key in keys]
+        raise ValueCheckError(f"{op}: expected {len(keys)} inputs for {names}, got {len(args)}")
+    return keys
 
 
 def holds_tv_tensors(values: Sequence[Any]) -> bool:

@@ -43,6 +43,7 @@ from kvision.augmentation.engine.augmentation import (
 )
 from kvision.augmentation.engine.augmentation_sequential import AugmentationSequential
 from kvision.augmentation.engine.call_context import CallContext
+from kvision.augmentation.engine.chain_executor import checked_items
 from kvision.augmentation.engine.choice_base import ChoiceBase, positional
 from kvision.augmentation.engine.configuration import restored_format, settings_changed
 from kvision.augmentation.engine.contribution import Colors, Contribution, Motion
@@ -56,9 +57,10 @@ from kvision.augmentation.engine.execution import (
     matrix_type,
     replaying,
 )
-from kvision.augmentation.engine.image_sequential import ImageSequential, ImageSequentialBase, checked_items
+from kvision.augmentation.engine.image_sequential import ImageSequential
 from kvision.augmentation.engine.patch_sequential import PatchSequential
 from kvision.augmentation.engine.record import Child, ParamItem, Record
+from kvision.augmentation.engine.sequential_base import ImageSequentialBase
 from kvision.augmentation.engine.stages import Applied, Chain, Warp
 from kvision.augmentation.engine.turns import Turn, joins
 from kvision.augmentation.engine.video_sequential import VideoSequential

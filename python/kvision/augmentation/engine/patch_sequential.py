@@ -13,7 +13,8 @@ from torch import Generator, Tensor, nn
 from kvision import _check
 from kvision._choices import OutputType, WindowPadding
 from kvision.augmentation.engine.call_context import CallContext
-from kvision.augmentation.engine.image_sequential import ImageSequential, checked_items
+from kvision.augmentation.engine.chain_executor import checked_items
+from kvision.augmentation.engine.image_sequential import ImageSequential
 from kvision.augmentation.engine.list_calls import Sizes
 from kvision.augmentation.engine.record import AnyParamItem, Child, ParamItem, Record, item_of
 from kvision.augmentation.engine.result_types import in_wider_type

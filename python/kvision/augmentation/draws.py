@@ -280,7 +280,7 @@ def _resized_crop(words: _Words, numbers: Sequence[float]) -> _Columns:
 
 def _largest_crop(height: float, width: float, log_min: float, log_max: float) -> tuple[float, float]:
     """Width and height."""
-    min_aspect, max_aspect = torch.tensor([log_min, log_max], dtype=torch.float64, device="cpu").exp().tolist()
+    min_aspect, max_aspect = math.exp(log_min), math.exp(log_max)
     if width / height < min_aspect:
         return width, max(float(round(width / min_aspect)), 1.0)
     if width / height > max_aspect:

@@ -202,3 +202,15 @@ def test_windows_stay_within_the_image(numbers, device):
     for align_corners in (False, True):
         y = resized_windows(x, matrix, [4, 5], INTERPOLATION["bilinear"], align_corners)
         assert y.isfinite().all()
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float16])
+def test_tiles_of_any_height_give_the_same_bits(dtype, device):
+    """The more images, the more rows a tile has."""
+    x = torch.rand(1, 3, 40, 36, generator=torch.Generator().manual_seed(0)).to(device, dtype)
+    for size, box in (((96, 80), (3, 2, 31, 37)), ((17, 23), (0, 1, 36, 38))):
+        matrix = matrices([box], [(1, 0)], size, False).to(device)
+        one = resized_windows(x, matrix, list(size), INTERPOLATION["bilinear"], False)
+        for count in (40, 400):
+            many = resized_windows(x.expand(count, -1, -1, -1), matrix, list(size), INTERPOLATION["bilinear"], False)
+            assert torch.equal(many, one.expand_as(many)), (size, count)

@@ -17,7 +17,9 @@ namespace {
 
 constexpr int kThreads = 256;          // at most, of a block
 constexpr int kMaxColumns = kThreads;  // of a tile; columns count elements
-constexpr int kMinRows = 4, kMaxRows = 32;
+constexpr int kMinRows = 4;            // of a tile
+template <class T>
+constexpr int kMaxRows = sizeof(T) == 4 ? 16 : 32;
 constexpr int kAhead = 2;              // rows that a thread reads before it needs them
 constexpr int kPlanes = 3;             // of a thread, if samples have so many or a multiple of them
 constexpr int kBlocks = 4;             // on a multiprocessor at once, of the most threads
@@ -556,7 +558,7 @@ WindowTiles tiles_of(ResizeWindows<T> const& p, int planes, int64_t step_bytes) 
   int64_t const all_rows = samples * groups * ceil_div(width, columns) * height;
   int64_t const waves = (sizeof(T) == 4 ? 4 : sizeof(T) == 2 ? 3 : 2) + (p.backward ? 1 : 0);
   int64_t const rows =
-      divided(height, clamp(all_rows / (waves * kBlocks * multiprocessors()), int64_t(kMinRows), int64_t(kMaxRows)));
+      divided(height, clamp(all_rows / (waves * kBlocks * multiprocessors()), int64_t(kMinRows), int64_t(kMaxRows<T>)));
   // Backward, s pixels of a window are read by each of `result` ones, and by at most 2 radius result + s ones in all if
   // s is larger than 2 radius.
   int64_t const weights =

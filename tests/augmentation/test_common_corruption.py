@@ -81,6 +81,19 @@ def test_other_channels_and_severities(device: torch.device) -> None:
             assert y.shape == x.shape and y.min() >= 0 and y.max() <= 1, name
 
 
+def test_bytes_are_floats_rounded_once(device: torch.device) -> None:
+    x = (255 * torch.rand(4, 3, 48, 40, generator=torch.Generator().manual_seed(1))).to(torch.uint8).to(device)
+    names = ("brightness", "contrast", "elastic_transform", "jpeg_compression", "saturate", "gaussian_blur", "pixelate")
+    for augment in (
+        *(A.CommonCorruption(name, severity, p=p) for name in names for severity in (1, 4, 5) for p in (1.0, 0.5)),
+        A.RandomRain((20, 40), (3, 10), (-3, 3), p=1.0),
+        A.RandomSnow(p=1.0),
+        A.RandomPlasmaBrightness(p=0.5),
+    ):
+        y, exact = augment(x, seed=3), 255 * augment(x.float() / 255, seed=3)
+        assert y.dtype == torch.uint8 and (y - exact).abs().max() <= 0.52, augment  # weights of bytes may be in 256ths
+
+
 def test_frost_is_a_window_of_the_texture(device: torch.device) -> None:
     textures, x = torch.rand(2, 3, 9, 12), torch.rand(3, 3, 7, 8, device=device)
     drawn = {"texture": [0.2, 0.9, 0.4], "top": [0.0, 0.99, 0.4], "left": [0.5, 0.0, 0.99]}

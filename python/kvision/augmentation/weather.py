@@ -43,8 +43,6 @@ class RandomRain(IntensityAugmentationBase2D, keeps_contract=True):
         tensor(3)
     """
 
-    accepts_bytes = False
-
     def __init__(
         self,
         number_of_drops: Numbers = (1000, 2000),
@@ -70,7 +68,7 @@ class RandomRain(IntensityAugmentationBase2D, keeps_contract=True):
         drops = torch.stack([params[name].to(input.device, torch.int64) for name in names], 1)
         positions = params["coordinates_factor"].to(input.device, torch.float32)
         wet = rain_mask(drops, positions, [height, width], longest)
-        return torch.where(wet > 0, 200 / 255, input)
+        return torch.where(wet > 0, 200 if input.dtype == torch.uint8 else 200 / 255, input)
 
 
 class RandomSnow(IntensityAugmentationBase2D, keeps_contract=True):

@@ -24,14 +24,15 @@ from kvision.augmentation.corruption.noises import as_stored, in_units, photons
 from kvision.augmentation.corruption.pixelate import pixelate
 from kvision.augmentation.corruption.snow import add_snow
 from kvision.augmentation.corruption.weather import WINDOW, as_textures, fogged, frosted, spattered
-from kvision.augmentation.engine import Params
+from kvision.augmentation.engine import Params, Shape
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
 from kvision.augmentation.noise import BY_CHANNEL, CLAMP, MULTIPLY, PixelNoise, gaussian_noise, salt_and_pepper
 from kvision.augmentation.random_generator.base import RandomGeneratorBase
 from kvision.augmentation.random_generator.mapped import Map, MappedGenerator, NoiseMap
 from kvision.augmentation.random_generator.plasma import PlasmaGenerator
-from kvision.augmentation.warp_and_color import Resampling
-from kvision.color.hsv import hsv_to_rgb, rgb_to_hsv
+from kvision.augmentation.units import bytes_of_floats, floats_of_bytes
+from kvision.augmentation.warp_and_color import ColorStep, Resampling
+from kvision.color.scale_shift import scale_shift
 from kvision.core.exceptions import ValueCheckError
 from kvision.enhance.jpeg import jpeg_codec_differentiable
 from kvision.filters.filter2d import filter2d
@@ -193,23 +194,10 @@ def _fog(x: Tensor, drawn: Params, amount: float, roughness: float) -> Tensor:
     return fogged(x, drawn["plasma"].to(own), constant((amount,), x, own))
 
 
-def _brightness(x: Tensor, drawn: Params, change: float) -> Tensor:
-    if x.shape[1] != 3:
-        return x + change
-    hue, saturation, value = rgb_to_hsv(x).unbind(1)
-    return hsv_to_rgb(torch.stack([hue, saturation, clamp(value + change, 0, 1)], 1))
-
-
 def _contrast(x: Tensor, drawn: Params, factor: float) -> Tensor:
-    mean = x.mean((2, 3), keepdim=True)
-    return torch.lerp(mean, x, factor)
-
-
-def _saturate(x: Tensor, drawn: Params, factor: float, change: float) -> Tensor:
-    if x.shape[1] != 3:
-        return x
-    hue, saturation, value = rgb_to_hsv(x).unbind(1)
-    return hsv_to_rgb(torch.stack([hue, clamp(saturation * factor + change, 0, 1), value], 1))
+    """Around the mean of each channel."""
+    means = x.mean((2, 3), dtype=compute_dtype(x))[..., None]
+    return scale_shift(x, factor, means * ((1 - factor) / (255 if x.dtype == torch.uint8 else 1)), True)
 
 
 def _elastic_transform(x: Tensor, drawn: Params, alpha: float) -> Tensor:
@@ -218,7 +206,8 @@ def _elastic_transform(x: Tensor, drawn: Params, alpha: float) -> Tensor:
     sides = 2 * int(3 * sigma[0] + 0.5) + 1, 2 * int(3 * sigma[1] + 0.5) + 1
     noise = (2 * drawn["noise"] - 1) * (height * 0.005)
     moved = alpha * gaussian_blur2d(noise, sides, sigma)
-    return maps.read_displaced(x, moved, Resampling("bilinear", "reflection", False))
+    y = maps.read_displaced(x, moved, Resampling("bilinear", "reflection", False))
+    return y if x.dtype == torch.uint8 else clamp(y, 0, 1)
 
 
 def _pixelate(x: Tensor, drawn: Params, scale: float) -> Tensor:
@@ -227,8 +216,33 @@ def _pixelate(x: Tensor, drawn: Params, scale: float) -> Tensor:
     return y
 
 
+def _hsv_steps(factors: Sequence[float], shifts: Sequence[float]) -> list[ColorStep]:
+    """Scale and shift saturation and value, clamped to [0, 1]. Hue is an eighth meanwhile, which is in [0, 1], too."""
+    return [
+        ColorStep("rgb_to_hsv", _EPS),
+        ColorStep("scale_shift_rgb", 1 / 8, *factors, 0.0, *shifts, 1.0),
+        ColorStep("scale_shift_rgb", 8.0, 1.0, 1.0),
+        ColorStep("hsv_to_rgb"),
+        _CLAMPED,
+    ]
+
+
+_EPS, _CLAMPED = 1e-8, ColorStep("scale_shift", 1.0, 0.0, 1.0)
+
+
+def _brightness(channels: int, change: float) -> list[ColorStep]:
+    return _hsv_steps((1.0, 1.0), (0.0, change)) if channels == 3 else [ColorStep("scale_shift", 1.0, change, 1.0)]
+
+
+def _saturate(channels: int, factor: float, change: float) -> list[ColorStep]:
+    return _hsv_steps((factor, 1.0), (change, 0.0)) if channels == 3 else [_CLAMPED]
+
+
 def _jpeg_compression(x: Tensor, drawn: Params, quality: float) -> Tensor:
-    return jpeg_codec_differentiable(clamp(x, 0, 1), x.new_full((len(x),), quality))
+    """The operator clamps its results."""
+    if x.dtype == torch.uint8:
+        return bytes_of_floats(jpeg_codec_differentiable(floats_of_bytes(x), quality))
+    return jpeg_codec_differentiable(clamp(x, 0, 1), quality)
 
 
 def _spatter(
@@ -253,12 +267,13 @@ _BORDER = Resampling("bilinear", "border", True)
 class Corruption(NamedTuple):
     """A corruption: its function, its parameters in five severities, and what is drawn for it."""
 
-    apply: Callable[..., Tensor]
+    apply: Callable[..., Tensor] | None
     severities: tuple[tuple[float, ...], ...]
     map: Map | None = None
     angle: tuple[float, float] | None = None  # degrees
     fused: Callable[..., Tensor] | None = None  # of images of any type, the source of noise and the parameters
-    takes_bytes: bool = False  # as they are
+    takes_bytes: bool = False  # as they are, and gives results in [0, 1]
+    steps: Callable[..., list[ColorStep]] | None = None  # instead, of the number of channels and the parameters
 
 
 def _each(*numbers: float) -> tuple[tuple[float, ...], ...]:
@@ -311,13 +326,16 @@ CORRUPTIONS: dict[CorruptionName, Corruption] = {
     "fog": Corruption(
         _fog, ((1.5, 2**-2), (2.0, 2**-2), (2.5, 1.7**-2), (2.5, 1.5**-2), (3.0, 1.4**-2)), takes_bytes=True
     ),
-    "brightness": Corruption(_brightness, _each(0.1, 0.2, 0.3, 0.4, 0.5)),
-    "contrast": Corruption(_contrast, _each(0.4, 0.3, 0.2, 0.1, 0.05)),
+    "brightness": Corruption(None, _each(0.1, 0.2, 0.3, 0.4, 0.5), steps=_brightness),
+    "contrast": Corruption(_contrast, _each(0.4, 0.3, 0.2, 0.1, 0.05), takes_bytes=True),
     "elastic_transform": Corruption(
-        _elastic_transform, _each(12.5, 16.25, 21.25, 25.0, 30.0), NoiseMap(size=(2, None, None))
+        _elastic_transform,
+        _each(12.5, 16.25, 21.25, 25.0, 30.0),
+        NoiseMap(size=(2, None, None)),
+        takes_bytes=True,
     ),
     "pixelate": Corruption(_pixelate, _each(0.6, 0.5, 0.4, 0.3, 0.25), takes_bytes=True),
-    "jpeg_compression": Corruption(_jpeg_compression, _each(25, 18, 15, 10, 7)),
+    "jpeg_compression": Corruption(_jpeg_compression, _each(25, 18, 15, 10, 7), takes_bytes=True),
     "speckle_noise": Corruption(_speckle_noise, _each(0.15, 0.2, 0.35, 0.45, 0.6), fused=_normal_factors),
     "gaussian_blur": Corruption(_gaussian_blur, _each(1, 2, 3, 4, 6), takes_bytes=True),
     "spatter": Corruption(
@@ -332,7 +350,7 @@ CORRUPTIONS: dict[CorruptionName, Corruption] = {
         NoiseMap(True, _PLANE),
         takes_bytes=True,
     ),
-    "saturate": Corruption(_saturate, ((0.3, 0), (0.1, 0), (2, 0), (5, 0.1), (20, 0.2))),
+    "saturate": Corruption(None, ((0.3, 0), (0.1, 0), (2, 0), (5, 0.1), (20, 0.2)), steps=_saturate),
 }
 
 
@@ -406,11 +424,17 @@ class CommonCorruption(IntensityAugmentationBase2D, keeps_contract=True):
         samplers = WINDOW if self.name == "frost" else [] if angle is None else [(angle, "angle", None, None)]
         return MappedGenerator(*samplers, maps={} if map is None else {"noise": map}, op=op)
 
+    def color_steps(self, shape: Shape, flags: dict[str, Any]) -> Sequence[ColorStep] | None:
+        corruption = CORRUPTIONS[self.name]
+        return corruption.steps and corruption.steps(shape[1], *corruption.severities[self.severity - 1])
+
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
         corruption = CORRUPTIONS[self.name]
         numbers = corruption.severities[self.severity - 1]
+        if corruption.apply is None:
+            return super().apply_transform(input, params, flags, transform)
         if corruption.fused is not None and "_noise" in params:
             return corruption.fused(input, params["_noise"][1], *numbers)
         x = input if corruption.takes_bytes else in_units(input)

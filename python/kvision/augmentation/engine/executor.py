@@ -27,6 +27,7 @@ from kvision.augmentation.engine.execution import (
 from kvision.augmentation.keys import Keys, Seed, check_seeds, draw_keys
 from kvision.augmentation.noise import PixelNoise
 from kvision.augmentation.samples import where_chosen
+from kvision.augmentation.units import bytes_of_floats, floats_of_bytes
 from kvision.augmentation.warp_and_color import SAME, Output, Pass, make_pass
 from kvision.geometry.transform.lists.arguments import like_batch, smallest_batch
 from kvision.geometry.transform.lists.kept_sizes import Operation
@@ -338,12 +339,12 @@ class Executor(Declaration):
         transform = self.compute_transformation(x, params, flags) if needs_matrix else None
         image = x
         if stored == torch.uint8 and (result != stored or not self.accepts_bytes):
-            image = x.float().div_(255)
+            image = floats_of_bytes(x)
         elif execution.chosen is not None and self._is_overridden("apply_transform"):
             image = x.clone()  # which may write to it, and samples that are not chosen stay
         y = self.apply_transform(image, params, flags, transform)
         if result == torch.uint8 and y.dtype != torch.uint8:
-            y = (y * 255).round_().clamp_(0, 255).to(torch.uint8)
+            y = bytes_of_floats(y)
         elif y.dtype != result and result.is_floating_point:
             y = y.to(result)
         if y.dim() == 4 and y.shape == x.shape:

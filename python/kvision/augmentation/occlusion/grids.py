@@ -17,7 +17,7 @@ from kvision.augmentation.erase import erase_grid
 from kvision.augmentation.occlusion.dropout_base import ErasingDropout
 from kvision.augmentation.occlusion.holes import HoleDropout
 from kvision.augmentation.random_generator.mapped import MappedGenerator
-from kvision.augmentation.random_generator.occlusion import GridDropoutGenerator, fill_maps, units_along
+from kvision.augmentation.random_generator.occlusion import GridDropoutGenerator, Units, fill_maps, units_along
 from kvision.augmentation.ranges import Numbers
 from kvision.geometry.transform.lists.kept_sizes import Operation
 
@@ -76,83 +76,58 @@ class GridDropout(HoleDropout, keeps_contract=True):
         self._param_generator = GridDropoutGenerator(unit_size_range, holes_number_xy, is_random, self.fill)
 
     def _parts(self, params: Params, shape: tuple[int, ...], device: torch.device) -> Tensor:
-        counts, at = self._param_generator.counts(shape), None
-        if (unit_range := self._param_generator.unit_size_range) is not None:
-            at = params["unit_size"].to(device).long() - unit_range[0]
-        offsets = params["offsets"].to(device).unbind(1) if "offsets" in params else (None, None)
-        (y, tall), (x, wide) = (
-            self._along(*axis, at, device)
-            for axis in zip(shape[-2:], counts, offsets, reversed(self.shift_xy), (-1, -2))
+        like = torch.empty(0, device=device)
+        units = _in_grid(
+            *(
+                constant(self._units(*axis), like, torch.float32)
+                for axis in zip(shape[-2:], self._param_generator.counts(shape), reversed(self.shift_xy))
+            )
         )
-        return torch.stack(torch.broadcast_tensors(x, y, wide, tall), -1).flatten(1, 2)
+        if (unit_range := self._param_generator.unit_size_range) is not None:
+            units = units[params["unit_size"].to(device).long() - unit_range[0]]
+        return _boxes(units, params["offsets"].to(device) if "offsets" in params else None)
 
     def _operation_on_list(self, images: Sequence[Tensor], like: Tensor, execution: Execution) -> Operation:
+        """Images with fewer units than others have no holes in those at the end."""
         shapes = [(1, *x.shape) for x in images]
-        counts, at = [self._param_generator.counts(shape) for shape in shapes], None
-        if (unit_range := self._param_generator.unit_size_range) is not None and execution.columns is not None:
+        counts = [self._param_generator.counts(shape) for shape in shapes]
+        axes = []
+        for axis, shift in zip((0, 1), reversed(self.shift_xy)):
+            most, tables = max(max(own[axis]) for own in counts), []
+            for shape, own in zip(shapes, counts):
+                none = (0,) * (most - max(own[axis]))
+                units = self._units(shape[axis - 2], own[axis], shift)
+                tables.append([[[*row, *none] for row in unit] for unit in units])
+            axes.append(torch.tensor(tables, dtype=torch.float32, device="cpu").to(like.device, non_blocking=True))
+        if (unit_range := self._param_generator.unit_size_range) is None or execution.columns is None:
+            axes = [units[:, 0] for units in axes]
+        else:
             drawn = self._named(execution.columns.values, execution)["unit_size"]
             at = drawn.to(like.device).long() - unit_range[0]
-        offsets: Sequence[Tensor | None] = (None, None)
+            axes = [units[torch.arange(len(at), device=at.device), at] for units in axes]
+        offsets = None
         if self._param_generator.random_offset:
             noise = self._pixel_noise(execution, execution.redraw, like.device)
-            offsets = self._param_generator.offsets_of_list(noise, counts).unbind(1)
-        (y, tall), (x, wide) = (
-            self._along_list(
-                [shape[axis] for shape in shapes], [own[axis] for own in counts], u, shift, -3 - axis, at, like
-            )
-            for axis, u, shift in zip((-2, -1), offsets, reversed(self.shift_xy))
-        )
-        boxes = torch.stack(torch.broadcast_tensors(x, y, wide, tall), -1).flatten(1, 2)
-        return self._erasing(boxes, like, {})
+            offsets = self._param_generator.offsets_of_list(noise, counts)
+        return self._erasing(_boxes(_in_grid(*axes), offsets), like, {})
 
-    def _along_list(
-        self,
-        sizes: Sequence[int],
-        counts: Sequence[tuple[int, ...]],
-        u: Tensor | None,
-        shift: int,
-        axis: int,
-        at: Tensor | None,
-        like: Tensor,
-    ) -> tuple[Tensor, Tensor]:
-        """As `_along`, of images with sizes and numbers of units of their own, those with fewer without holes at the end."""
-        most, tables = max(map(max, counts)), []
-        for size, own_counts in zip(sizes, counts):
-            none = (0,) * (most - max(own_counts))
-            tables.append([[[*row, *none] for row in units] for units in units_along(size, own_counts, self.ratio)])
-        own = torch.tensor(tables, dtype=torch.float32, device="cpu").to(like.device, non_blocking=True)
-        own = own[:, 0] if at is None else own[torch.arange(len(own), device=own.device), at]
-        ends = torch.tensor(sizes, dtype=torch.float32, device="cpu").to(like.device, non_blocking=True)
-        return _placed(own, ends[:, None, None], u, shift, axis)
-
-    def _along(
-        self,
-        size: int,
-        counts: tuple[int, ...],
-        u: Tensor | None,
-        shift: int,
-        axis: int,
-        at: Tensor | None,
-        device: Any,
-    ) -> tuple[Tensor, Tensor]:
-        """Where holes begin along an axis, and how long they are, as tables (B, R, C) by the units of the grid.
-
-        Args:
-            size: pixels.
-            counts: numbers of units; `at` (B,) says which of them a sample has.
-            u: the offsets (B, R, C) of holes, as fractions of the free pixels of their units; None for a shift.
-            axis: the axis of the table along which there is nothing to tell.
-        """
-        table = constant(units_along(size, counts, self.ratio), torch.empty(0, device=device), torch.float32)
-        return _placed(table if at is None else table[at], size, u, shift, axis)
+    def _units(self, size: int, counts: tuple[int, ...], shift: int) -> tuple[Units, ...]:
+        """The units along an axis, for each of the numbers of them that there may be."""
+        return units_along(size, counts, self.ratio, None if self._param_generator.random_offset else shift)
 
 
-def _placed(units: Tensor, size: int | Tensor, u: Tensor | None, shift: int, axis: int) -> tuple[Tensor, Tensor]:
-    """Where holes begin along an axis of images of a size, and how long they are, for the numbers (B, 3, units) of units."""
-    first, hole, free = units.unsqueeze(axis).unbind(1)
-    if u is None:
-        return (first + shift).minimum(size - hole), hole
-    return first + (u * (free + 1)).floor().minimum(free), hole
+def _in_grid(down: Tensor, across: Tensor) -> Tensor:
+    """Units (A, 4, R) and (A, 4, C) along both axes as tables (A, 4, 2, R, C)."""
+    return torch.stack(torch.broadcast_tensors(down[..., None], across[..., None, :]), 2)
+
+
+def _boxes(units: Tensor, offsets: Tensor | None) -> Tensor:
+    """The holes (B, R C, 4) of units (B or 1, 4, 2, R, C), at offsets (B, 2, R, C) in [0, 1); None for the first position."""
+    first, hole, free, places = units.unbind(1)
+    if offsets is not None:
+        first = first + (offsets * places).floor().minimum(free)
+    (y, x), (tall, wide) = first.unbind(1), hole.unbind(1)
+    return torch.stack(torch.broadcast_tensors(x, y, wide, tall), -1).flatten(1, 2)
 
 
 class GridMask(ErasingDropout, keeps_contract=True):

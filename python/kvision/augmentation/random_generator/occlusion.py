@@ -115,19 +115,25 @@ class Units(NamedTuple):
     first: Sequence[int]
     hole: Sequence[int]
     free: Sequence[int]  # what the hole leaves of its unit
+    places: Sequence[int]  # how many positions the hole may have
 
 
 @functools.lru_cache(maxsize=64)
-def units_along(size: int, counts: tuple[int, ...], ratio: float) -> tuple[Units, ...]:
-    """The units of an axis that has any of these numbers of them, as many each as the largest, those too many without a hole."""
+def units_along(size: int, counts: tuple[int, ...], ratio: float, shift: int | None) -> tuple[Units, ...]:
+    """The units of an axis that has any of these numbers of them, as many each as the largest, those too many without a hole.
+
+    A shift moves their holes, which stay in the image; None for units whose holes are moved later.
+    """
     tables = []
     for count in counts:
         ends = [unit * size // count for unit in range(count + 1)]
         sides = [end - first for first, end in itertools.pairwise(ends)]
         holes = [min(max(int(side * ratio), 1), side - 1) for side in sides]
+        free = [side - hole for side, hole in zip(sides, holes)]
+        first = ends[:-1] if shift is None else [min(end + shift, size - hole) for end, hole in zip(ends, holes)]
         none = (0,) * (max(counts) - count)
-        free = (side - hole for side, hole in zip(sides, holes))
-        tables.append(Units((*ends[:-1], *none), (*holes, *none), (*free, *none)))
+        places = (pixels + 1 for pixels in free)
+        tables.append(Units(*((*row, *none) for row in (first, holes, free, places))))
     return tuple(tables)
 
 

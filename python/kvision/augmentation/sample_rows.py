@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import chain
 
 import torch
 from torch import Tensor
 
 from kvision._ops import FastPath
-from kvision._torch_compat import in_function_transform
 from kvision.core.pixels import to_unit
 
 # Rows of batches (B, C, H, W) of one size and type as one batch, by their numbers as if these were one.
@@ -35,8 +33,13 @@ class SampleRows:
         if self._whole is not None:
             return [list(samples)] if samples else []
         groups: dict[torch.Size, list[int]] = {}
+        of_tensors: dict[int, list[int]] = {}
         for sample in samples:
-            groups.setdefault(self._at[sample][0].shape[1:], []).append(sample)
+            tensor = self._at[sample][0]
+            group = of_tensors.get(id(tensor))
+            if group is None:
+                group = of_tensors[id(tensor)] = groups.setdefault(tensor.shape[1:], [])
+            group.append(sample)
         return list(groups.values())
 
     def size_of(self, sample: int) -> tuple[int, ...]:
@@ -47,18 +50,19 @@ class SampleRows:
         """The samples, which have one size, as a batch."""
         if self._whole is not None:
             return read_rows(self._whole, samples)
-        parts: dict[int, tuple[Tensor, list[int], list[int]]] = {}
-        for at, sample in enumerate(samples):
+        tensors: list[Tensor] = []
+        numbers: list[int] = []  # as if the tensors were one
+        firsts: dict[int, int] = {}
+        count = 0
+        for sample in samples:
             tensor, row = self._at[sample]
-            _, rows, positions = parts.setdefault(id(tensor), (tensor, [], []))
-            rows.append(row)
-            positions.append(at)
-        tensors = [read_rows(tensor, rows) for tensor, rows, _ in parts.values()]
-        if len(tensors) == 1:
-            return tensors[0]
-        if len({tensor.dtype for tensor in tensors}) > 1:
-            tensors = [to_unit(tensor) if tensor.dtype == torch.uint8 else tensor for tensor in tensors]
-        return _interleaved(tensors, [positions for _, _, positions in parts.values()])
+            first = firsts.get(id(tensor))
+            if first is None:
+                first = firsts[id(tensor)] = count
+                count += len(tensor)
+                tensors.append(tensor)
+            numbers.append(first + row)
+        return _read_rows_of(tensors, numbers)
 
     def put(self, samples: Sequence[int], y: Tensor) -> None:
         """Let the samples, in ascending order, be the rows of `y`."""
@@ -96,21 +100,14 @@ def index_of(rows: Sequence[int], like: Tensor) -> Tensor:
     return torch.tensor(rows, device="cpu").to(like.device, non_blocking=True)
 
 
-def _interleaved(tensors: Sequence[Tensor], positions: Sequence[Sequence[int]]) -> Tensor:
-    """One batch of the rows of tensors, which come to these positions."""
-    first, dtype = tensors[0], tensors[0].dtype
-    if first.dim() == 4 and all(tensor.dtype == dtype and _copy_rows.serves(tensor) for tensor in tensors):
-        rows_of_positions = sorted((at, row) for row, at in enumerate(chain(*positions)))
-        copied: Tensor = _copy_rows.kernel(list(tensors), [row for _, row in rows_of_positions])
+def _read_rows_of(tensors: Sequence[Tensor], rows: Sequence[int]) -> Tensor:
+    """Rows of tensors as one batch, by their numbers as if these were one."""
+    if len(tensors) == 1:
+        return read_rows(tensors[0], rows)
+    if len({tensor.dtype for tensor in tensors}) > 1:
+        tensors = [to_unit(tensor) if tensor.dtype == torch.uint8 else tensor for tensor in tensors]
+    dtype = tensors[0].dtype
+    if tensors[0].dim() == 4 and all(tensor.dtype == dtype and _copy_rows.serves(tensor) for tensor in tensors):
+        copied: Tensor = _copy_rows.kernel(list(tensors), list(rows))
         return copied
-    has_one_type = all(tensor.dtype == dtype for tensor in tensors)
-    needs_graph = torch.is_grad_enabled() and any(tensor.requires_grad for tensor in tensors)
-    if needs_graph or not has_one_type or in_function_transform():
-        order = torch.tensor([at for part in positions for at in part], device="cpu").argsort()
-        return read_rows(torch.cat(list(tensors)), order.tolist())
-    layout = torch.channels_last if is_channels_last(first) else torch.contiguous_format
-    shape = (sum(map(len, positions)), *first.shape[1:])
-    y = torch.empty(shape, dtype=dtype, device=first.device, memory_format=layout)
-    for tensor, rows in zip(tensors, positions):
-        y.index_copy_(0, index_of(rows, y), tensor)
-    return y
+    return read_rows(torch.cat(list(tensors)), rows)

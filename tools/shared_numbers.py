@@ -93,6 +93,7 @@ CONSTANTS = (
     ("NOISE_SHARED", "shared", "augmentation/noise.h"),
     ("NOISE_BY_CHANNEL", "by_channel", "augmentation/noise.h"),
     ("NOISE_RANDOM", "random", "augmentation/noise.h"),
+    ("NOISE_UNIT", "unit", "augmentation/noise.h"),
     ("AFFINE_INPUTS", "kAffineInputs", "augmentation/transforms.h"),
     ("PERSPECTIVE_INPUTS", "kPerspectiveInputs", "augmentation/transforms.h"),
     ("CROP_INPUTS", "kCropInputs", "augmentation/transforms.h"),

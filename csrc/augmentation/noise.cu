@@ -57,7 +57,7 @@ struct EachChannel {
 
 struct NormalVariates {
   template <class F>
-  static __device__ __forceinline__ void of(PhiloxWords const& words, F (&n)[4]) {
+  static __device__ __forceinline__ void of(PhiloxWords const& words, F (&n)[4], bool) {
     if constexpr (sizeof(F) == 8) {
       normals_of(words, n);
     } else {
@@ -69,9 +69,9 @@ struct NormalVariates {
 
 struct UniformVariates {
   template <class F>
-  static __device__ __forceinline__ void of(PhiloxWords const& words, F (&n)[4]) {
+  static __device__ __forceinline__ void of(PhiloxWords const& words, F (&n)[4], bool in_unit) {
 #pragma unroll
-    for (int i = 0; i < 4; ++i) n[i] = symmetric_of<F>(words.w[i]);
+    for (int i = 0; i < 4; ++i) n[i] = in_unit ? unit_of<F>(words.w[i]) : symmetric_of<F>(words.w[i]);
   }
 };
 
@@ -85,7 +85,7 @@ struct AddNoise {
     F const mean = p.parameters[b * p.parameter_stride] * range,
             deviation = p.parameters[b * p.parameter_stride + 1] * range;
     F n[4];
-    Variates::of(p.source(b).words(p.draw, p.numbered(c, block)), n);
+    Variates::of(p.source(b).words(p.draw, p.numbered(c, block)), n, p.has(NoiseForm::unit));
 #pragma unroll
     for (int k = 0; k < 4; ++k) four.v.v[k] = round_to<T>(p.noisy(F(read(four.v.v[k])), F(n[k] * deviation + mean)));
   }

@@ -15,7 +15,8 @@ constexpr int multiply = 1, clamp = 2,
               shared = 4;  // of normal and uniform noise: factors; within the range; of all channels
 constexpr int by_channel = 8,
               random = 16;  // of hit pixels: those of each channel; they get uniform noise of the next draw
-constexpr int all = 31;
+constexpr int unit = 32;    // of uniform noise: in [0, 1] in place of [-1, 1]
+constexpr int all = 63;
 }  // namespace NoiseForm
 
 // Dense images, planar or channels-last.
@@ -143,8 +144,11 @@ KV_HD F fill_of(uint32_t word) {
   return F(word >> 8) * F(0x1p-24);
 }
 
-// The same number as that of symmetric_of, in [0, 1], as float32.
-KV_HD float unit_of(uint32_t word) { return float(word ^ 0x80000000u) * 0x1p-32f; }
+// The same number as that of symmetric_of, in [0, 1].
+template <class F = float>
+KV_HD F unit_of(uint32_t word) {
+  return F(word ^ 0x80000000u) * F(0x1p-32);
+}
 
 // A uniform variate in [-1, 1] of a word.
 template <class F>

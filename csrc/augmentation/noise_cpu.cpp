@@ -86,17 +86,17 @@ KV_HD void fill_words(DrawSource const& source, uint32_t draw, uint32_t block, i
 
 struct NormalVariates {
   template <class F>
-  static KV_HD void fill(DrawSource const& source, uint32_t draw, uint32_t block, int count, F* to) {
+  static KV_HD void fill(DrawSource const& source, uint32_t draw, uint32_t block, int count, F* to, bool) {
     fill_normals(source, draw, block, count, to);
   }
 };
 
 struct UniformVariates {
   template <class F>
-  static KV_HD void fill(DrawSource const& source, uint32_t draw, uint32_t block, int count, F* to) {
+  static KV_HD void fill(DrawSource const& source, uint32_t draw, uint32_t block, int count, F* to, bool in_unit) {
     uint32_t words[kBuffer];
     fill_words(source, draw, block, count, words);
-    for (int i = 0; i < count; ++i) to[i] = symmetric_of<F>(words[i]);
+    for (int i = 0; i < count; ++i) to[i] = in_unit ? unit_of<F>(words[i]) : symmetric_of<F>(words[i]);
   }
 };
 
@@ -132,7 +132,7 @@ KV_HD void add_noise(PixelNoise<T> const& p, int64_t begin, int64_t end) {
     F const range = p.has(NoiseForm::multiply) ? F(1) : p.full_range;
     F const mean = p.parameters[b * p.parameter_stride] * range,
             deviation = p.parameters[b * p.parameter_stride + 1] * range;
-    Variates::fill(p.source(b), p.draw, p.numbered(c, first / 4), count, noise);
+    Variates::fill(p.source(b), p.draw, p.numbered(c, first / 4), count, noise, p.has(NoiseForm::unit));
     for (int i = 0; i < count; ++i) noise[i] = noise[i] * deviation + mean;
     auto const pixels = [&](auto n, int64_t i) {
       constexpr int N = decltype(n)::value;

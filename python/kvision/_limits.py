@@ -133,6 +133,7 @@ NOISE_CLAMP = 2  # clamp in csrc/augmentation/noise.h
 NOISE_SHARED = 4  # shared in csrc/augmentation/noise.h
 NOISE_BY_CHANNEL = 8  # by_channel in csrc/augmentation/noise.h
 NOISE_RANDOM = 16  # random in csrc/augmentation/noise.h
+NOISE_UNIT = 32  # unit in csrc/augmentation/noise.h
 AFFINE_INPUTS = 9  # kAffineInputs in csrc/augmentation/transforms.h
 PERSPECTIVE_INPUTS = 16  # kPerspectiveInputs in csrc/augmentation/transforms.h
 CROP_INPUTS = 7  # kCropInputs in csrc/augmentation/transforms.h

@@ -14,6 +14,7 @@ from kvision.augmentation.noise import (
     MULTIPLY,
     RANDOM,
     SHARED,
+    UNIT,
     gaussian_noise,
     salt_and_pepper,
     shot_noise,
@@ -167,9 +168,13 @@ def test_instruction_sets_give_the_same_noise(isa, device, backend):
     with K.backend("reference"):
         expected = gaussian_noise(torch.zeros_like(x, dtype=torch.float64), columns, KEYS, None, None, PLAN)
         hits, uniform = noisy(salt_and_pepper, x), noisy(uniform_noise, x)
+        in_unit = uniform_noise(torch.zeros_like(x).double(), columns, KEYS, None, None, [*PLAN, UNIT]).float()
     with instruction_set(isa):
         result = gaussian_noise(torch.zeros_like(x), columns.float(), KEYS, None, None, PLAN)
         assert torch.equal(noisy(salt_and_pepper, x), hits)
+        assert torch.equal(
+            uniform_noise(torch.zeros_like(x), columns.float(), KEYS, None, None, [*PLAN, UNIT]), in_unit
+        )
         torch.testing.assert_close(noisy(uniform_noise, x), uniform, rtol=0, atol=1.3e-7)  # sums may be rounded once
     torch.testing.assert_close(result.double(), expected, rtol=1e-6, atol=1e-9)
 
@@ -189,6 +194,10 @@ def test_words_are_those_of_philox(device):
             word = philox(int(KEYS[1]), (PLAN[2], 3 * channel + pixel // 4, 0, PLAN[1]))[pixel % 4]
             signed = word if word < 2**31 else word - 2**32
             assert result[channel].flatten()[pixel] == signed / 2**31
+    in_unit = uniform_noise(zero, unit.double(), KEYS, None, None, [*PLAN, UNIT])[0].cpu()
+    assert torch.equal(in_unit, (result + 1) / 2)
+    rounded = uniform_noise(zero.float(), unit, KEYS, None, None, [*PLAN, UNIT])[0].cpu()
+    assert torch.equal(rounded, in_unit.float())
 
 
 # --- statistics ---
@@ -322,7 +331,7 @@ def test_plans_are_checked(operator, device):
         ([2, 0, 1, 0], "no key 2"),
         ([0, 0, 1], "four to six numbers"),
         ([0, -1, 1, 0], "out of range"),
-        ([0, 0, 1, 0, 32], "a form from 0 to 31"),
+        ([0, 0, 1, 0, 64], "a form from 0 to 63"),
     ):
         with pytest.raises(RuntimeError, match=f"{operator.name}: .*{message}"):
             operator(x, columns, KEYS, None, None, plan)

@@ -21,6 +21,7 @@ from kvision._limits import NOISE_CLAMP as CLAMP
 from kvision._limits import NOISE_MULTIPLY as MULTIPLY
 from kvision._limits import NOISE_RANDOM as RANDOM
 from kvision._limits import NOISE_SHARED as SHARED
+from kvision._limits import NOISE_UNIT as UNIT
 from kvision._ops import Operator, match_layout, register, saturate_to_byte
 from kvision.augmentation.draws import MAX_DRAWS, philox, unit
 from kvision.augmentation.keys import Keys, flatten_draws
@@ -35,8 +36,8 @@ from kvision.geometry.transform.lists.kept_sizes import Operation, register_list
 NO_KEY = torch.zeros(1, dtype=torch.int64, device="cpu")  # of operators that are given their noise
 _FLATTEN = flatten_draws(keys=2)
 # Flags. Of normal and uniform noise: MULTIPLY, images are multiplied by it; CLAMP, results are clamped to [0, 1]; SHARED, all
-# channels share it. Of pixels that are hit: BY_CHANNEL, those of each channel; RANDOM, they get uniform noise, that of the next
-# draw, in place of salt and pepper.
+# channels share it; UNIT, uniform noise is in [0, 1] in place of [-1, 1]. Of pixels that are hit: BY_CHANNEL, those of each
+# channel; RANDOM, they get uniform noise, that of the next draw, in place of salt and pepper.
 
 
 def _form(plan: Sequence[int]) -> int:
@@ -134,8 +135,10 @@ def _uniform_reference(
     chosen: Tensor | None,
     plan: Sequence[int],
 ) -> Tensor:
-    """Words as signed numbers, in units of 2^31."""
+    """Words as signed numbers, in units of 2^31; the same numbers in [0, 1]."""
     words = words_of_pixels(images, _planes(images, plan), keys, seeds, plan)
+    if _form(plan) & UNIT:
+        return _added(unit(words ^ 2**31), images, parameters, chosen, _form(plan))
     signed = torch.where(words < 2**31, words, words - 2**32)
     return _added(signed.to(parameters.dtype) * 2.0**-31, images, parameters, chosen, _form(plan))
 
@@ -171,7 +174,9 @@ def _noise_backward(
     # The noise alone, which only factors, clamped results and ranges with gradients need.
     standard = constant(((0.0, 1.0),), parameters)
     grads, x, chooses = _computed(grad), _computed(images), is_chosen(chosen, images)
-    noise = _ADDED[operator](torch.zeros_like(grads), standard, keys, seeds, chosen, [*plan[:4], form & SHARED])
+    noise = _ADDED[operator](
+        torch.zeros_like(grads), standard, keys, seeds, chosen, [*plan[:4], form & (SHARED | UNIT)]
+    )
     mean, scale = parameters[:, :, None, None, None].unbind(1)
     term = mean + scale * noise
     to_result = torch.where(chooses, grads, 0.0)
@@ -361,24 +366,24 @@ class PixelNoise(NamedTuple):
         rest = (form, self.first) if self.first else (form,) if form else ()
         return self.keys.keys, self.keys.seeds_on(self.device), self.chosen, (*plan, *rest)
 
-    def uniform(self, shape: Sequence[int], map: int = 0) -> Tensor:
-        """Uniform noise (B, C, H, W) in [0, 1], float64."""
-        return self._between(0.5, 0.5, shape, torch.float64, map)
+    def uniform(self, shape: Sequence[int], map: int = 0, dtype: torch.dtype = torch.float32) -> Tensor:
+        """Uniform noise (B, C, H, W) in [0, 1]."""
+        return self._between(shape, dtype, map, UNIT)
 
     def uniform_list(self, shapes: Sequence[Sequence[int]], map: int = 0) -> list[Tensor]:
         """The same of the samples of a list, of a shape (C, H, W) each."""
         counts = [math.prod(shape) for shape in shapes]
-        zero = torch.zeros(sum(counts), dtype=torch.float64, device=self.device)
+        zero = torch.zeros(sum(counts), dtype=torch.float32, device=self.device)
         zeros = [part.view(*shape) for part, shape in zip(zero.split(counts), shapes)]
-        return Operation(uniform_noise, (constant(((0.5, 0.5),), zero), *self.arguments(map))).on_list(zeros)
+        return Operation(uniform_noise, (constant(((0.0, 1.0),), zero), *self.arguments(map, UNIT))).on_list(zeros)
 
     def symmetric(self, shape: Sequence[int], map: int = 0) -> Tensor:
         """Uniform noise (B, C, H, W) in [-1, 1], float32."""
-        return self._between(0.0, 1.0, shape, torch.float32, map)
+        return self._between(shape, torch.float32, map, 0)
 
-    def _between(self, mean: float, scale: float, shape: Sequence[int], dtype: torch.dtype, map: int) -> Tensor:
+    def _between(self, shape: Sequence[int], dtype: torch.dtype, map: int, form: int) -> Tensor:
         zero = torch.zeros(tuple(shape), dtype=dtype, device=self.device)
-        noise: Tensor = uniform_noise(zero, constant(((mean, scale),), zero), *self.arguments(map))
+        noise: Tensor = uniform_noise(zero, constant(((0.0, 1.0),), zero), *self.arguments(map, form))
         return noise
 
     def normal(self, shape: Sequence[int], map: int = 0) -> Tensor:

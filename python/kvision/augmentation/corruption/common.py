@@ -204,7 +204,7 @@ def _elastic_transform(x: Tensor, drawn: Params, alpha: float) -> Tensor:
     height, width = x.shape[-2:]
     sigma = height * 0.01, width * 0.01
     sides = 2 * int(3 * sigma[0] + 0.5) + 1, 2 * int(3 * sigma[1] + 0.5) + 1
-    noise = (2 * drawn["noise"] - 1) * (height * 0.005)
+    noise = (drawn["noise"] - 0.5) * (2 * (height * 0.005))
     moved = alpha * gaussian_blur2d(noise, sides, sigma)
     y = maps.read_displaced(x, moved, Resampling("bilinear", "reflection", False))
     return y if x.dtype == torch.uint8 else clamp(y, 0, 1)

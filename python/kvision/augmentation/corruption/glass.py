@@ -86,7 +86,7 @@ class Moves(NamedTuple):
 
     def draw(self, noise: PixelNoise, shape: Shape, number: int) -> Tensor:
         """The map with a number of its own among those of an augmentation, float32."""
-        u = noise.uniform((shape[0], self.steps, *shape[-2:]), number)
+        u = noise.uniform((shape[0], self.steps, *shape[-2:]), number, torch.float64)
         return _halves((u * 2**32).long() ^ 2**31)
 
 

@@ -65,7 +65,7 @@ class RectangleEraseGenerator(RandomGeneratorBase):
         return params
 
     def pixel_params(self, columns: Tensor, shape: Shape, noise: PixelNoise) -> dict[str, Tensor]:
-        return {"values": noise.uniform(shape).float()}
+        return {"values": noise.uniform(shape)}
 
     def to_columns(self, params: dict[str, Any], shape: Shape) -> Tensor:
         return torch.stack([params[name] for name in ("xs", "ys", "widths", "heights")], 1)

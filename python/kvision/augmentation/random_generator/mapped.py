@@ -39,7 +39,7 @@ class NoiseMap(NamedTuple):
     def draw(self, noise: PixelNoise, shape: Shape, number: int) -> Tensor:
         """The map with a number of its own among those of an augmentation, float32."""
         size = map_size(self.size, shape)
-        return noise.normal(size, map=number) if self.normal else noise.uniform(size, number).float()
+        return noise.normal(size, map=number) if self.normal else noise.uniform(size, number)
 
 
 class MappedGenerator(PlainUniformGenerator):

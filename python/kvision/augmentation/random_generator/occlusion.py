@@ -187,5 +187,5 @@ class GridDropoutGenerator(MappedGenerator):
         ends = 2 * (rows * columns).cumsum(0)
         first = ends - 2 * rows * columns
         at = torch.stack([first + place, first + rows * columns + place], 1).minimum(ends[:, None] - 1)
-        values = torch.cat([own.flatten() for own in drawn]).float()
+        values = torch.cat([own.flatten() for own in drawn])
         return values[at.to(values.device, non_blocking=True)]

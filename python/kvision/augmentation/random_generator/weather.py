@@ -59,4 +59,4 @@ class RainGenerator(RandomGeneratorBase):
 
     def pixel_params(self, columns: Tensor, shape: Shape, noise: PixelNoise) -> dict[str, Tensor]:
         positions = noise.uniform((shape[0], 1, max(self.number_of_drops[1], 1), 2))
-        return {"coordinates_factor": positions[:, 0].float()}
+        return {"coordinates_factor": positions[:, 0]}

@@ -177,7 +177,8 @@ class Executor(Declaration):
             # The noise that `_params` has is float32.
             is_fused = self.fuses_noise and execution.frames == 1 and x.dtype != torch.float64
             if is_fused and not self._is_customized():
-                params["_noise"] = (values, noise._replace(chosen=execution.columns.chosen))
+                chosen = None if execution.is_certain else execution.columns.chosen
+                params["_noise"] = (values, noise._replace(chosen=chosen))
             else:
                 params.update(self._pixel_params(values, execution, noise))
         return params

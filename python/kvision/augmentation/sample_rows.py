@@ -24,62 +24,58 @@ class SampleRows:
     """
 
     def __init__(self, x: Tensor) -> None:
-        self._whole: Tensor | None = x  # while all samples are the rows of one tensor
-        self._count = len(x)
-        self._at: list[tuple[Tensor, int]] = []
+        self._read_all(x)
+
+    def _read_all(self, x: Tensor) -> None:
+        self._tensors, self._firsts, self._end = [x], [0], len(x)
+        self._owners = [0] * len(x)  # of each sample, the number of its tensor
+        self._rows = list(range(len(x)))  # and of its row, as if the tensors were one
 
     def by_size(self, samples: Sequence[int]) -> list[list[int]]:
         """The samples in groups of one size."""
-        if self._whole is not None:
+        if len({tensor.shape[1:] for tensor in self._tensors}) == 1:
             return [list(samples)] if samples else []
-        groups: dict[torch.Size, list[int]] = {}
-        of_tensors: dict[int, list[int]] = {}
+        groups: dict[tuple[int, ...], list[int]] = {}
         for sample in samples:
-            tensor = self._at[sample][0]
-            group = of_tensors.get(id(tensor))
-            if group is None:
-                group = of_tensors[id(tensor)] = groups.setdefault(tensor.shape[1:], [])
-            group.append(sample)
+            groups.setdefault(self.size_of(sample), []).append(sample)
         return list(groups.values())
 
     def size_of(self, sample: int) -> tuple[int, ...]:
         """Height and width of a sample; depth, height and width of volumes."""
-        return tuple((self._at[sample][0] if self._whole is None else self._whole).shape[2:])
+        return tuple(self._tensors[self._owners[sample]].shape[2:])
 
     def take(self, samples: Sequence[int]) -> Tensor:
         """The samples, which have one size, as a batch."""
-        if self._whole is not None:
-            return read_rows(self._whole, samples)
-        tensors: list[Tensor] = []
-        numbers: list[int] = []  # as if the tensors were one
-        firsts: dict[int, int] = {}
-        count = 0
-        for sample in samples:
-            tensor, row = self._at[sample]
-            first = firsts.get(id(tensor))
-            if first is None:
-                first = firsts[id(tensor)] = count
-                count += len(tensor)
-                tensors.append(tensor)
-            numbers.append(first + row)
-        return _read_rows_of(tensors, numbers)
+        owners, rows = [self._owners[sample] for sample in samples], [self._rows[sample] for sample in samples]
+        read = sorted(set(owners))
+        if len(read) < len(self._tensors):
+            shifts, count = {}, 0
+            for owner in read:
+                shifts[owner] = count - self._firsts[owner]
+                count += len(self._tensors[owner])
+            rows = [row + shifts[owner] for row, owner in zip(rows, owners)]
+        return _read_rows_of([self._tensors[owner] for owner in read], rows)
 
     def put(self, samples: Sequence[int], y: Tensor) -> None:
         """Let the samples, in ascending order, be the rows of `y`."""
-        if len(samples) == self._count:
-            self._whole, self._at = y, []
+        if len(samples) == len(self._owners):
+            self._read_all(y)
             return
-        if self._whole is not None:
-            whole, self._whole = self._whole, None
-            self._at = [(whole, row) for row in range(self._count)]
-        for row, sample in enumerate(samples):
-            self._at[sample] = y, row
+        owner, first = len(self._tensors), self._end
+        before = {self._owners[sample] for sample in samples}
+        for row, sample in enumerate(samples, first):
+            self._owners[sample], self._rows[sample] = owner, row
+        self._tensors.append(y)
+        self._firsts.append(first)
+        self._end += len(y)
+        for unread in before.difference(self._owners):
+            self._tensors[unread] = y.new_empty((0, *y.shape[1:]))  # the memory of that one is free then
 
 
 def read_rows(x: Tensor, rows: Sequence[int]) -> Tensor:
     """Rows of `x` as a batch of the same layout: `x` itself or a view where they follow each other."""
     first, count = rows[0], len(rows)
-    if rows[-1] - first == count - 1 and all(row == first + i for i, row in enumerate(rows)):
+    if rows[-1] - first == count - 1 and list(rows) == list(range(first, first + count)):
         return x if count == len(x) else x[first : first + count]
     if x.dim() == 4 and _copy_rows.serves(x):
         copied: Tensor = _copy_rows.kernel([x], list(rows))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
 from itertools import accumulate, chain
 from typing import Any
@@ -54,13 +55,12 @@ class OneOf(ChoiceBase):
 
     def _sequences_of(self, drawn: Sequence[Sequence[float]]) -> list[tuple[int, ...]]:
         sums = self._sums_of_weights()
-        total, sequences = sums[-1], list[tuple[int, ...]]()
-        for _, u in drawn:
-            target, number = u * total, 0
-            while sums[number] <= target and sums[number] < total:  # a number may be rounded to 1
-                number += 1
-            sequences.append((number,) if total > 0 else ())
-        return sequences
+        total = sums[-1]
+        if total == 0:
+            return [()] * len(drawn)
+        last = bisect_left(sums, total)  # a number may be rounded to 1
+        children = [(number,) for number in range(last + 1)]
+        return [children[min(bisect_right(sums, u * total), last)] for _, u in drawn]
 
     def _joined(self, turns: list[Turn], shape: tuple[int, ...], position: int) -> list[Turn]:
         groups, joined = self._groups(shape), []

@@ -8,6 +8,8 @@ namespace kv::augmentation::cuda {
 namespace {
 
 constexpr int kEraseThreads = 256, kEraseWords = kEraseColumns / 32;
+// Rows of a tile of a batch with more parts than a block marks at once: fewer tiles look at all of them.
+constexpr int kManyRows = 4 * kEraseRows;
 
 // The bits of the columns [begin, end) of a row of the tile.
 __device__ __forceinline__ void mark(uint32_t* words, int begin, int end) {
@@ -17,7 +19,7 @@ __device__ __forceinline__ void mark(uint32_t* words, int begin, int end) {
   }
 }
 
-using TileBits = uint32_t[kEraseRows][kEraseWords];
+using TileBits = uint32_t[kManyRows][kEraseWords];
 
 // Marks the erased pixels of the tile of sample b that begins at (left, top).
 template <class T>
@@ -28,8 +30,10 @@ __device__ __forceinline__ void mark_tile(EraseRectangles<T> const& p, int64_t b
   __syncthreads();
   for (int64_t i = threadIdx.x; i < p.num_boxes; i += kEraseThreads) {
     float const* const box = p.box(b, i);
-    ErasedRange const down(box[1], box[3], p.x.height), across(box[0], box[2], p.x.width);
+    ErasedRange const down(box[1], box[3], p.x.height);
     int const first = int(max(down.begin - top, int64_t(0))), last = int(min(down.end - top, int64_t(rows)));
+    if (first >= last) continue;
+    ErasedRange const across(box[0], box[2], p.x.width);
     int const begin = int(max(across.begin - left, int64_t(0))), end = int(min(across.end - left, int64_t(columns)));
     for (int y = first; y < last; ++y) mark(erased[y], begin, end);
   }
@@ -51,10 +55,11 @@ __device__ __forceinline__ void mark_tile(EraseGrid<T> const& p, int64_t b, int6
 // Of the tile of sample b that begins at (left, top), P elements of a row for each thread. A row of a channels-last
 // image has all channels of its pixels.
 template <int P, class Params>
-__device__ __forceinline__ void erase_tile(Params const& p, int64_t b, int64_t left, int64_t top, TileBits& erased) {
+__device__ __forceinline__ void erase_tile(Params const& p, int64_t b, int64_t left, int64_t top, int most_rows,
+                                           TileBits& erased) {
   using T = typename Params::Stored;
   static_assert(32 % P == 0, "a vector of one channel has the bits of one word");
-  int const rows = int(min(p.x.height - top, int64_t(kEraseRows))),
+  int const rows = int(min(p.x.height - top, int64_t(most_rows))),
             columns = int(min(p.x.width - left, int64_t(kEraseColumns)));
   mark_tile(p, b, left, top, columns, rows, erased);
   __syncthreads();
@@ -82,17 +87,26 @@ __device__ __forceinline__ void erase_tile(Params const& p, int64_t b, int64_t l
 
 template <class Params, int P>
 __global__ void __launch_bounds__(kEraseThreads)
-    erase_tiles(__grid_constant__ Params const p, unsigned tiles_down, unsigned tiles_across) {
+    erase_tiles(__grid_constant__ Params const p, unsigned tiles_down, unsigned tiles_across, int rows) {
   __shared__ TileBits erased;
   unsigned const tile_x = blockIdx.x % tiles_across, t = blockIdx.x / tiles_across, tile_y = t % tiles_down;
-  erase_tile<P>(p, t / tiles_down, int64_t(tile_x) * kEraseColumns, int64_t(tile_y) * kEraseRows, erased);
+  erase_tile<P>(p, t / tiles_down, int64_t(tile_x) * kEraseColumns, int64_t(tile_y) * rows, rows, erased);
+}
+
+template <class T>
+int rows_of_tiles(EraseRectangles<T> const& p) {
+  return p.num_boxes > kEraseThreads ? kManyRows : kEraseRows;
+}
+template <class T>
+int rows_of_tiles(EraseGrid<T> const&) {
+  return kEraseRows;
 }
 
 template <int P, class Params>
 int launch_tiles(Params const& p, CUstream_st* stream) {
-  unsigned const down = unsigned(ceil_div(p.x.height, kEraseRows)),
-                 across = unsigned(ceil_div(p.x.width, kEraseColumns));
-  erase_tiles<Params, P><<<unsigned(p.samples) * down * across, kEraseThreads, 0, stream>>>(p, down, across);
+  int const rows = rows_of_tiles(p);
+  unsigned const down = unsigned(ceil_div(p.x.height, rows)), across = unsigned(ceil_div(p.x.width, kEraseColumns));
+  erase_tiles<Params, P><<<unsigned(p.samples) * down * across, kEraseThreads, 0, stream>>>(p, down, across, rows);
   return cudaGetLastError();
 }
 
@@ -120,9 +134,9 @@ __global__ void __launch_bounds__(kEraseThreads) erase_list(__grid_constant__ Er
   int64_t const left = int64_t(tile % across) * kEraseColumns, top = int64_t(tile / across) * kEraseRows;
   constexpr int P = 16 / sizeof(typename All::Stored);
   if (has_whole_vectors<P>(one.x) && has_whole_vectors<P>(one.y))
-    erase_tile<P>(one, 0, left, top, erased);
+    erase_tile<P>(one, 0, left, top, kEraseRows, erased);
   else
-    erase_tile<1>(one, 0, left, top, erased);
+    erase_tile<1>(one, 0, left, top, kEraseRows, erased);
 }
 
 template <class All>

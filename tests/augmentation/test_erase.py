@@ -133,12 +133,12 @@ def test_gradients(device):
 
 @pytest.mark.parametrize("layout", [torch.contiguous_format, torch.channels_last], ids=str)
 def test_many_boxes_and_values_of_channels(layout, device):
-    """In images that are wider than a tile of the kernel, from boxes that are columns of a wider tensor."""
+    """In images that are larger than a tile of the kernel, from boxes that are columns of a wider tensor."""
     columns = torch.randint(0, 2100, (2, 1 + 4 * 300), device=device).float()
     boxes = columns[:, 1:].reshape(2, 300, 4)
-    boxes[..., 1::2] *= 0.01
+    boxes[..., 1::2] *= 0.025
     boxes[..., 2] *= 0.01
-    x = torch.full((2, 3, 19, 2101), 7, dtype=torch.uint8, device=device).contiguous(memory_format=layout)
+    x = torch.full((2, 3, 45, 2101), 7, dtype=torch.uint8, device=device).contiguous(memory_format=layout)
     values = torch.tensor([[1.0, 2, 3], [4, 5, 6]], device=device)
     expected = torch.where(is_erased(x, boxes), values.byte()[:, :, None, None], x)
     assert expected.ne(x).float().mean() > 0.2 and torch.equal(erase_rectangles(x, boxes, values), expected)

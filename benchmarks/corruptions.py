@@ -30,14 +30,26 @@ CPU_BATCH, GPU_BATCH = 4, 128
 BLOCKS = "a warp sums the pixels of a row of blocks, and shows it"
 GLASS = "two blurs, and a gather by moves that are drawn for each pixel"
 SPATTER = "a blur of drawn noise, distances to outlines, a histogram, a relief and its maximum"
+DRAWS = "bytes: draws are a launch of their own"
+NOISE = "bytes: a random number a value, as for floats"
+FROST = "bytes: the window of a sample takes eight launches"
 FOG = "a fractal map in float64, step by step, its range and the brightest value"
 REASONS = {
+    "CoarseDropout": DRAWS,
+    "FrequencyMasking": DRAWS,
+    "GridMask": "bytes: lines in float64 at each pixel",
+    "PixelDropout": NOISE,
+    "TimeMasking": DRAWS,
+    "XYMasking": DRAWS,
+    "MultiplicativeNoise": NOISE,
+    "RandomFrost": FROST,
+    "SpeckleNoise": NOISE,
     "ChromaticAberration": "maps of three planes are written and read again, and planes sampled one by one",
     "Defocus": "a window of 21 x 21 taps",
     "Downscale": BLOCKS,
     "GlassBlur": GLASS,
     "GridDistortion": "a map is written and read again",
-    "GridDropout": "its holes are drawn and placed by torch",
+    "GridDropout": "thousands of holes a sample are placed, and looked at by each tile",
     "ISONoise": "lightness is measured first; HLS and back, a Poisson quantile and a normal number a pixel",
     "OpticalDistortion": "a map is written and read again",
     "PiecewiseAffine": "a map is written and read again",
@@ -49,6 +61,12 @@ REASONS = {
     "Spatter": SPATTER,
     "Swirl": "a map is written and read again",
     "ZoomBlur": "up to 30 reads a pixel",
+    "gaussian_noise": NOISE,
+    "impulse_noise": NOISE,
+    "speckle_noise": NOISE,
+    "frost": FROST,
+    "contrast": "bytes: their mean is that of floats made of them",
+    "gaussian_blur": "a window of 25 + 25 taps",
     "shot_noise": "a Poisson quantile a value",
     "defocus_blur": "a window of 13 x 13 taps",
     "glass_blur": GLASS,

@@ -59,8 +59,8 @@ class OneOf(ChoiceBase):
         if total == 0:
             return [()] * len(drawn)
         last = bisect_left(sums, total)  # a number may be rounded to 1
-        children = [(number,) for number in range(last + 1)]
-        return [children[min(bisect_right(sums, u * total), last)] for _, u in drawn]
+        children, ends = [(number,) for number in range(last + 1)], sums[:last]
+        return [children[bisect_right(ends, u * total)] for _, u in drawn]
 
     def _joined(self, turns: list[Turn], shape: tuple[int, ...], position: int) -> list[Turn]:
         groups, joined = self._groups(shape), []

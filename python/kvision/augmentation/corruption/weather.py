@@ -40,7 +40,7 @@ def fogged(x: Tensor, plasma: Tensor, amount: Tensor) -> Tensor:
         brightest = brightest.to(amount.dtype) / 255
     darker = brightest.to(amount.dtype) / (brightest + amount).clamp(min=1e-12)
     clouds = darker * amount / (high - low).clamp(min=1e-12)
-    return behind(x, plasma, *(f[:, None] for f in (darker, torch.zeros_like(darker), clouds, -low * clouds)))
+    return behind(x, plasma, darker[:, None], 0.0, clouds[:, None], (-low * clouds)[:, None])
 
 
 class RandomFog(IntensityAugmentationBase2D, keeps_contract=True):

@@ -65,7 +65,7 @@ REASONS = {
     "impulse_noise": NOISE,
     "speckle_noise": NOISE,
     "frost": FROST,
-    "contrast": "bytes: their mean is that of floats made of them",
+    "contrast": "bytes: means are measured before",
     "gaussian_blur": "a window of 25 + 25 taps",
     "shot_noise": "a Poisson quantile a value",
     "defocus_blur": "a window of 13 x 13 taps",

@@ -32,8 +32,8 @@ from kvision.augmentation.random_generator.mapped import Map, MappedGenerator, N
 from kvision.augmentation.random_generator.plasma import PlasmaGenerator
 from kvision.augmentation.units import bytes_of_floats, floats_of_bytes
 from kvision.augmentation.warp_and_color import ColorStep, Resampling
-from kvision.color.scale_shift import scale_shift
 from kvision.core.exceptions import ValueCheckError
+from kvision.enhance.contrast import adjust_contrast_with_mean_subtraction
 from kvision.enhance.jpeg import jpeg_codec_differentiable
 from kvision.filters.filter2d import filter2d
 from kvision.filters.smoothing.gaussian import gaussian_blur2d
@@ -196,8 +196,8 @@ def _fog(x: Tensor, drawn: Params, amount: float, roughness: float) -> Tensor:
 
 def _contrast(x: Tensor, drawn: Params, factor: float) -> Tensor:
     """Around the mean of each channel."""
-    means = x.mean((2, 3), dtype=compute_dtype(x))[..., None]
-    return scale_shift(x, factor, means * ((1 - factor) / (255 if x.dtype == torch.uint8 else 1)), True)
+    channels = x.flatten(0, 1)[:, None]
+    return adjust_contrast_with_mean_subtraction(channels, factor).view(x.shape)
 
 
 def _elastic_transform(x: Tensor, drawn: Params, alpha: float) -> Tensor:

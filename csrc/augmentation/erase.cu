@@ -95,7 +95,8 @@ __global__ void __launch_bounds__(kEraseThreads)
 
 template <class T>
 int rows_of_tiles(EraseRectangles<T> const& p) {
-  return p.num_boxes > kEraseThreads ? kManyRows : kEraseRows;
+  bool const are_many = p.num_boxes > kEraseThreads && p.samples * p.x.height >= multiprocessors() * kManyRows;
+  return are_many ? kManyRows : kEraseRows;
 }
 template <class T>
 int rows_of_tiles(EraseGrid<T> const&) {

@@ -142,3 +142,14 @@ def test_many_boxes_and_values_of_channels(layout, device):
     values = torch.tensor([[1.0, 2, 3], [4, 5, 6]], device=device)
     expected = torch.where(is_erased(x, boxes), values.byte()[:, :, None, None], x)
     assert expected.ne(x).float().mean() > 0.2 and torch.equal(erase_rectangles(x, boxes, values), expected)
+
+
+@pytest.mark.parametrize("size", [(70, 40), (67, 37)], ids=str)
+def test_many_boxes_of_many_images(size, device):
+    """More than a block of threads marks at once, in more rows than fill a device."""
+    places = torch.rand(70, 300, 2, generator=torch.Generator().manual_seed(0)) * torch.tensor([40.0, 70.0])
+    boxes = torch.cat([places, torch.tensor([2.5, 3.0]).expand(70, 300, 2)], 2).to(device)
+    x = torch.rand(70, 3, *size, device=device)
+    values = torch.rand(70, 3, device=device)
+    expected = torch.where(is_erased(x, boxes), values[:, :, None, None], x)
+    assert 0.2 < expected.ne(x).float().mean() < 0.9 and torch.equal(erase_rectangles(x, boxes, values), expected)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 from collections.abc import Callable
 from typing import Any
 
@@ -12,6 +13,7 @@ from torch import Tensor, nn
 import kvision.augmentation as A
 from kvision.augmentation.engine import turns
 from kvision.augmentation.engine.turns import plan_turns
+from kvision.augmentation.sample_rows import SampleRows
 
 CHOICES: dict[str, Callable[..., Any]] = {
     "OneOf": A.OneOf,
@@ -358,3 +360,45 @@ def test_rows_of_batches_are_copied_as_one(
         torch.ops.kvision.copy_rows(parts, [351])
     with pytest.raises(RuntimeError, match="copy_rows: expected parts of one size"):
         torch.ops.kvision.copy_rows([parts[0], parts[1][..., :2]], [0])
+
+
+@pytest.mark.parametrize("layout", [torch.contiguous_format, torch.channels_last], ids=str)
+@pytest.mark.parametrize("needs_gradient", [False, True])
+@pytest.mark.parametrize("seed", range(6))
+def test_samples_are_those_of_a_list(seed, needs_gradient, layout, device):
+    rng, count = random.Random(seed), 9
+    x = torch.rand(count, 3, 4, 5, device=device).contiguous(memory_format=layout).requires_grad_(needs_gradient)
+    rows, samples = SampleRows(x), list(x)
+    for _ in range(12):
+        chosen = sorted(rng.sample(range(count), rng.choice((1, 3, 5, count))))
+        groups = rows.by_size(chosen)
+        assert sorted(sample for group in groups for sample in group) == chosen
+        for group in groups:
+            y = rows.take(group)
+            assert torch.equal(y, torch.stack([samples[sample] for sample in group]))
+            assert {rows.size_of(sample) for sample in group} == {y.shape[2:]}
+            size = (6, 3) if rng.random() < 0.3 else y.shape[2:]
+            z = (y + 1 if y.shape[2:] == size else y[..., :1, :1].expand(-1, -1, *size)).contiguous(
+                memory_format=layout
+            )
+            rows.put(group, z)
+            for sample, own in zip(group, z):
+                samples[sample] = own
+    if needs_gradient and len(groups := rows.by_size(range(count))) == 1:
+        (grad,) = torch.autograd.grad(rows.take(groups[0]).sum(), x, allow_unused=True)
+        assert grad is not None
+
+
+def test_tensors_of_which_nothing_is_read_are_free():
+    rows = SampleRows(torch.zeros(4, 1, 2, 2))
+    for turn in range(5):
+        for part in ([0, 1], [2, 3]):
+            rows.put(part, rows.take(part) + 1)
+        assert sum(len(tensor) for tensor in rows._tensors) == 4, turn
+    assert torch.equal(rows.take(range(4)), torch.full((4, 1, 2, 2), 5.0))
+
+
+def test_bytes_beside_floats_are_255ths():
+    rows = SampleRows(torch.full((3, 1, 2, 2), 255, dtype=torch.uint8))
+    rows.put([1], torch.full((1, 1, 2, 2), 0.5))
+    assert rows.take(range(3))[:, 0, 0, 0].tolist() == [1.0, 0.5, 1.0]

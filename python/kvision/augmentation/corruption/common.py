@@ -30,8 +30,8 @@ from kvision.augmentation.noise import BY_CHANNEL, CLAMP, MULTIPLY, PixelNoise, 
 from kvision.augmentation.random_generator.base import RandomGeneratorBase
 from kvision.augmentation.random_generator.mapped import Map, MappedGenerator, NoiseMap
 from kvision.augmentation.random_generator.plasma import PlasmaGenerator
-from kvision.augmentation.units import bytes_of_floats, floats_of_bytes
 from kvision.augmentation.warp_and_color import ColorStep, Resampling
+from kvision.color.scale_shift import bytes_of_floats, floats_of_bytes
 from kvision.core.exceptions import ValueCheckError
 from kvision.enhance.contrast import adjust_contrast_with_mean_subtraction
 from kvision.enhance.jpeg import jpeg_codec_differentiable

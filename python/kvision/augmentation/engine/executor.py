@@ -27,8 +27,8 @@ from kvision.augmentation.engine.execution import (
 from kvision.augmentation.keys import Keys, Seed, check_seeds, draw_keys
 from kvision.augmentation.noise import PixelNoise
 from kvision.augmentation.samples import where_chosen
-from kvision.augmentation.units import bytes_of_floats, floats_of_bytes
 from kvision.augmentation.warp_and_color import SAME, Output, Pass, make_pass
+from kvision.color.scale_shift import bytes_of_floats, floats_of_bytes
 from kvision.geometry.transform.lists.arguments import like_batch, smallest_batch
 from kvision.geometry.transform.lists.kept_sizes import Operation
 

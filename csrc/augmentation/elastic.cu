@@ -1,6 +1,8 @@
 // Displacements of elastic transforms on CUDA, in one launch without intermediate images. A block traverses 128 columns
 // of a plane downwards. It draws 32 rows of noise at a time into shared memory and filters them along x, and it filters
 // 64 rows at a time along y. A window of 63 x 63 takes 126 products per pixel, so instructions limit the kernel.
+#include <new>
+
 #include "augmentation/elastic.h"
 #include "core/row_prefetcher.cuh"
 
@@ -50,27 +52,29 @@ __device__ __forceinline__ void filter_windows(float const* weights, int taps, L
   }
 }
 
-// Drawn: the noise is drawn, not read.
-template <bool Drawn>
-__global__ void __launch_bounds__(kThreads, 2) blur_noise(__grid_constant__ ElasticDisplacements const p, int rows) {
+// A strip of a plane. Drawn: the noise is drawn, not read. Aligned: rows are multiples of four pixels.
+template <bool Drawn, bool Aligned>
+__device__ __forceinline__ void blur_strip(ElasticDisplacements const& p, unsigned block_index, int rows) {
   extern __shared__ __align__(16) unsigned char bytes[];
   ElasticMemory& memory = *reinterpret_cast<ElasticMemory*>(bytes);
   int const width = p.width, height = p.height, lane = threadIdx.x % 32, warp = threadIdx.x / 32;
   unsigned const across = unsigned(width + kTileWidth - 1) / kTileWidth, down = unsigned(height + rows - 1) / rows;
-  unsigned const tile_row = blockIdx.x / across, plane = tile_row / down;
-  int const x0 = int(blockIdx.x - tile_row * across) * kTileWidth, y0 = int(tile_row - plane * down) * rows;
+  unsigned const tile_row = block_index / across, plane = tile_row / down;
+  int const x0 = int(block_index - tile_row * across) * kTileWidth, y0 = int(tile_row - plane * down) * rows;
   int const y1 = min(y0 + rows, height), overlap = p.taps_y - 1, channel = int(plane & 1);
   int64_t const b = plane / 2, offset = int64_t(plane) * p.noise.pixels;
   float* const result = p.noise.y + offset;
+  bool const is_chosen = p.noise.is_chosen(b);
   if (threadIdx.x <= kMaxElasticTaps) {
     memory.kx[threadIdx.x] = p.kx[threadIdx.x];
     memory.ky[threadIdx.x] = p.ky[threadIdx.x] * p.scale[channel];
   }
   [[maybe_unused]] DrawSource source{};
   if constexpr (Drawn) source = p.noise.source(b);
-  // A draw makes four pixels, so rows are drawn in blocks of four from the first column that a window reads.
-  int const left = x0 - p.taps_x / 2, begin = left & -4, before = left - begin;
-  int const blocks = (before + min(kTileWidth, width - x0) + p.taps_x - 1 + 3) / 4;
+  // A draw makes four pixels, which are counted row by row. So rows are drawn in blocks of four from the first column
+  // that a window reads, or up to three before it.
+  int const left = x0 - p.taps_x / 2;
+  int const blocks = ((Aligned ? left & 3 : 3) + min(kTileWidth, width - x0) + p.taps_x - 1 + 3) / 4;
   uint32_t const first_block = uint32_t(channel) * uint32_t(p.noise.blocks());
 
   for (int y = y0; y < y1; y += kTileHeight) {
@@ -78,20 +82,29 @@ __global__ void __launch_bounds__(kThreads, 2) blur_noise(__grid_constant__ Elas
     for (int row = has; row < needs; row += 32) {
       // Each thread has a row. Its warp draws every eighth block of four pixels, then filters 16 columns.
       int const at = y - p.taps_y / 2 + row + lane;
-      bool const exists = row + lane < needs && at >= 0 && at < height;
+      bool const exists = is_chosen && row + lane < needs && at >= 0 && at < height;
+      int const before = (Aligned ? left : at * width + left) & 3, begin = left - before;
 #pragma unroll 2
       for (int block = warp; block < blocks; block += kThreads / 32) {
         int const column = begin + 4 * block;
         float v[4] = {};
-        if (exists && column >= 0 && column < width) {
+        if (exists && column + (Aligned ? 0 : 3) >= 0 && column < width) {
           if constexpr (Drawn) {
             PhiloxWords const words = source.words(p.noise.draw, first_block + uint32_t(at * width + column) / 4);
 #pragma unroll
             for (int i = 0; i < 4; ++i) v[i] = symmetric_of<float>(words.w[i]);
-          } else {
+          } else if constexpr (Aligned) {
             float4 const four = *reinterpret_cast<float4 const*>(p.noise.x + offset + at * width + column);
             v[0] = four.x, v[1] = four.y, v[2] = four.z, v[3] = four.w;
+          } else {
+#pragma unroll
+            for (int i = 0; i < 4; ++i)
+              if (unsigned(column + i) < unsigned(width)) v[i] = p.noise.x[offset + at * width + column + i];
           }
+          if constexpr (!Aligned)
+#pragma unroll
+            for (int i = 0; i < 4; ++i)
+              if (unsigned(column + i) >= unsigned(width)) v[i] = 0;
         }
 #pragma unroll
         for (int i = 0; i < 4; ++i) memory.noise[lane][4 * block + i] = v[i];
@@ -123,8 +136,14 @@ __global__ void __launch_bounds__(kThreads, 2) blur_noise(__grid_constant__ Elas
 #pragma unroll
     for (int n = 0; n < 8; ++n) {
       int const to = y + 8 * warp + n;
-      if (to < y1 && x < width)
+      if (to >= y1 || x >= width) continue;
+      if constexpr (Aligned) {
         *reinterpret_cast<float4*>(result + to * width + x) = {sums[n][0], sums[n][1], sums[n][2], sums[n][3]};
+      } else {
+#pragma unroll
+        for (int i = 0; i < 4; ++i)
+          if (x + i < width) result[to * width + x + i] = sums[n][i];
+      }
     }
     // The last rows of this tile are the first ones of the next.
     if (y + kTileHeight < y1) {
@@ -137,17 +156,63 @@ __global__ void __launch_bounds__(kThreads, 2) blur_noise(__grid_constant__ Elas
   }
 }
 
+template <bool Drawn, bool Aligned>
+__global__ void __launch_bounds__(kThreads, 2) blur_noise(__grid_constant__ ElasticDisplacements const p, int rows) {
+  blur_strip<Drawn, Aligned>(p, blockIdx.x, rows);
+}
+
+__global__ void __launch_bounds__(kThreads, 2)
+    blur_noise_of_list(__grid_constant__ ElasticDisplacementsList const p, int rows) {
+  __shared__ __align__(16) unsigned char memory[sizeof(ElasticDisplacements)];
+  int const b = p.list.sample_of(int(blockIdx.x));
+  if (threadIdx.x == 0) new (memory) ElasticDisplacements(p.sample(b));
+  __syncthreads();
+  auto const& one = *reinterpret_cast<ElasticDisplacements const*>(memory);
+  unsigned const block = blockIdx.x - unsigned(p.list.first[b]);
+  one.width % 4 == 0 ? blur_strip<true, true>(one, block, rows) : blur_strip<true, false>(one, block, rows);
+}
+
+// Of planes with so many columns of tiles and rows.
+int strip_rows(int64_t columns, int height, int taps_y) {
+  int64_t const resident = 2 * multiprocessors();
+  return strip_height(columns, height, max(taps_y, 8), resident, resident);
+}
+
+template <class Kernel, class Params>
+int launch_strips(Kernel kernel, Params const& p, int64_t blocks, int rows, CUstream_st* stream) {
+  if (blocks > INT32_MAX) return cudaErrorInvalidConfiguration;
+  if (int error = cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, sizeof(ElasticMemory)))
+    return error;
+  kernel<<<unsigned(blocks), kThreads, sizeof(ElasticMemory), stream>>>(p, rows);
+  return cudaGetLastError();
+}
+
 }  // namespace
 
 int elastic_displacements(ElasticDisplacements const& p, CUstream_st* stream) {
-  int64_t const planes = 2 * p.noise.batch, columns = planes * ceil_div(p.width, kTileWidth);
-  int64_t const resident = 2 * multiprocessors();
-  int const rows = strip_height(columns, p.height, max(p.taps_y, 8), resident, resident);
-  auto const kernel = p.noise.x ? blur_noise<false> : blur_noise<true>;
-  if (int error = cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, sizeof(ElasticMemory)))
-    return error;
-  kernel<<<unsigned(columns * ceil_div(p.height, rows)), kThreads, sizeof(ElasticMemory), stream>>>(p, rows);
-  return cudaGetLastError();
+  int64_t const columns = 2 * p.noise.batch * ceil_div(p.width, kTileWidth);
+  int const rows = strip_rows(columns, p.height, p.taps_y);
+  bool const aligned = p.width % 4 == 0;
+  auto const kernel = p.noise.x ? (aligned ? blur_noise<false, true> : blur_noise<false, false>)
+                                : (aligned ? blur_noise<true, true> : blur_noise<true, false>);
+  return launch_strips(kernel, p, columns * ceil_div(p.height, rows), rows, stream);
+}
+
+int elastic_displacements_list(ElasticDisplacementsList const& given, CUstream_st* stream) {
+  ElasticDisplacementsList p = given;
+  int64_t columns = 0, blocks = 0;
+  int highest = 1;
+  for (int b = 0; b < p.list.count; ++b) {
+    columns += 2 * ceil_div(p.list.width[b], kTileWidth);
+    highest = max(highest, p.list.height[b]);
+  }
+  int const rows = strip_rows(columns, highest, p.all.taps_y);
+  for (int b = 0; b < p.list.count; ++b) {
+    p.list.first[b] = int(blocks);
+    blocks += 2 * ceil_div(p.list.width[b], kTileWidth) * ceil_div(p.list.height[b], rows);
+    if (blocks > INT32_MAX) return cudaErrorInvalidConfiguration;
+  }
+  return launch_strips(blur_noise_of_list, p, blocks, rows, stream);
 }
 
 bool has_elastic_displacements() { return int64_t(sizeof(ElasticMemory)) <= max_shared_bytes(sizeof(ElasticMemory)); }

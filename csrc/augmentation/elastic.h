@@ -7,13 +7,14 @@
 // other.
 #pragma once
 
+#include "augmentation/lists/listed_maps.h"
 #include "augmentation/noise.h"
 
 namespace kv::augmentation {
 
 constexpr int kMaxElasticTaps = 63;  // along an axis
 
-// Planar; rows are multiples of four pixels.
+// Planar.
 struct ElasticDisplacements {
   PixelNoise<float> noise;  // `x` is the noise, or null if it is drawn; `y` is the result
   int height, width;
@@ -22,8 +23,28 @@ struct ElasticDisplacements {
   float scale[2];                                          // of x and of y
 };
 
+// Maps of a list, in one block of memory, of drawn noise. Those of samples that are not chosen, by the noise, are 0.
+struct ElasticDisplacementsList {
+  ElasticDisplacements all;
+  double half[2];  // the scales are half the width and half the height less `less`, times so much
+  double less;
+  ListedMaps list;
+
+  KV_HD ElasticDisplacements sample(int b) const {
+    ElasticDisplacements one = all;
+    one.noise.skip(b);
+    one.noise.batch = 1;
+    one.noise.y += int64_t(kMapUnit) * list.begin[b];
+    one.height = list.height[b], one.width = list.width[b];
+    one.noise.pixels = one.noise.channel_stride = int64_t(one.height) * one.width;
+    one.scale[0] = float(half[0] * (one.width - less) / 2), one.scale[1] = float(half[1] * (one.height - less) / 2);
+    return one;
+  }
+};
+
 namespace cuda {
 int elastic_displacements(ElasticDisplacements const& params, CUstream_st* stream);
+int elastic_displacements_list(ElasticDisplacementsList const& params, CUstream_st* stream);
 // Whether this GPU has enough shared memory for the kernel.
 bool has_elastic_displacements();
 }  // namespace cuda

@@ -13,8 +13,8 @@ struct ElasticBlur {
 };
 
 // Writes the displacements `result` (B, 2, H, W), which is dense: of `noise`, or of noise of `source` if there is one,
-// whose images are the result.
+// whose images are the result; then those of samples that are not `chosen`, (B,) float32, are 0.
 void write_displacements(char const* op, Tensor const* noise, NoiseSource const* source, ElasticBlur const& blur,
-                         Tensor const& result);
+                         Tensor const& result, std::optional<Tensor> const& chosen = {});
 
 }  // namespace kv::augmentation

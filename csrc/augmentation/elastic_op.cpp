@@ -1,12 +1,13 @@
 // Displacements of elastic transforms: schema and entry, for CPU and CUDA.
 #include "augmentation/elastic_glue.h"
+#include "augmentation/lists/listed_maps_glue.h"
 #include "filters/separable_glue.h"
 
 namespace kv::augmentation {
 namespace {
 
-// Noise of the size and type of `like`, drawn in float32.
-Tensor drawn_noise(Tensor const& like, NoiseSource const& source) {
+// Noise of the size and type of `like`, drawn in float32; 0 in samples that are not chosen.
+Tensor drawn_noise(Tensor const& like, NoiseSource const& source, std::optional<Tensor> const& chosen) {
   Tensor const drawn = empty(like.sizes(), like, Layout::planar, ScalarType::Float);
   Tensor zeros = empty(like.sizes(), drawn), standard = empty({1, 2}, drawn);
   torch::stable::zero_(zeros);
@@ -16,7 +17,7 @@ Tensor drawn_noise(Tensor const& like, NoiseSource const& source) {
   PixelNoise<float> n;
   set_images(n, zeros, drawn, Layout::planar);
   source.set(n);
-  set_chosen(n, {});
+  set_chosen(n, chosen);
   n.parameters = data_ptr<float const>(standard);
   n.parameter_stride = 0;
   n.full_range = 1;
@@ -35,44 +36,47 @@ void set_gaussian(float (&weights)[kMaxElasticTaps + 1], int64_t size, double si
     weights[t] = t < int(size) ? float(filters::tap_weight(taps, 0, t) / sum) : 0;
 }
 
-bool fits_kernel(Tensor const& result, ElasticBlur const& blur) {
-  return result.scalar_type() == ScalarType::Float && result.size(3) % 4 == 0 && result.numel() > 0 &&
-         result.size(2) * result.size(3) <= INT32_MAX && blur.ky <= kMaxElasticTaps && blur.kx <= kMaxElasticTaps &&
+bool fits_kernel(ScalarType type, ElasticBlur const& blur) {
+  return type == ScalarType::Float && blur.ky <= kMaxElasticTaps && blur.kx <= kMaxElasticTaps &&
          // Special case, H200: 1.27 (elastic5) to 1.58 (elastic) times as fast as noise and two blurs.
          blur.ky % 2 == 1 && blur.kx % 2 == 1 && cuda::has_elastic_displacements();
+}
+
+void set_blur(ElasticDisplacements& p, ElasticBlur const& blur) {
+  p.taps_y = int(blur.ky), p.taps_x = int(blur.kx);
+  set_gaussian(p.ky, blur.ky, blur.sigma_y);
+  set_gaussian(p.kx, blur.kx, blur.sigma_x);
+  for (int i = 0; i < 2; ++i) p.scale[i] = float(blur.scale[i]);
 }
 #endif
 
 }  // namespace
 
 void write_displacements(char const* op, Tensor const* noise, NoiseSource const* source, ElasticBlur const& blur,
-                         Tensor const& result) {
+                         Tensor const& result, std::optional<Tensor> const& chosen) {
   check_window(op, blur.ky, blur.kx);
   if (source) source->check();
 #if defined(KV_CUDA)
-  if (fits_kernel(result, blur)) {
-    ElasticDisplacements p;
+  if (fits_kernel(result.scalar_type(), blur) && result.numel() > 0 && result.size(2) * result.size(3) <= INT32_MAX) {
+    ElasticDisplacements p{};
     Tensor x = source ? result : dense(*noise);
     if (!source && reinterpret_cast<uintptr_t>(x.const_data_ptr()) % 16 != 0) {  // the kernel reads vectors
       Tensor copy = empty(x.sizes(), x);
       x = torch::stable::copy_(copy, x);
     }
     set_images(p.noise, x, result, Layout::planar);
-    set_chosen(p.noise, {});
+    set_chosen(p.noise, chosen);
     if (source) {
       p.noise.x = nullptr;
       source->set(p.noise);
     }
     p.height = int(result.size(2)), p.width = int(result.size(3));
-    p.taps_y = int(blur.ky), p.taps_x = int(blur.kx);
-    set_gaussian(p.ky, blur.ky, blur.sigma_y);
-    set_gaussian(p.kx, blur.kx, blur.sigma_x);
-    for (int i = 0; i < 2; ++i) p.scale[i] = float(blur.scale[i]);
+    set_blur(p, blur);
     KV_RUN(elastic_displacements, result, p, 1, 0);
     return;
   }
 #endif
-  Tensor const x = source ? drawn_noise(result, *source) : as_layout(*noise, Layout::planar);
+  Tensor const x = source ? drawn_noise(result, *source, chosen) : as_layout(*noise, Layout::planar);
   auto const plane = [](Tensor of, int64_t axis) { return torch::stable::narrow(of, 1, axis, 1); };
   for (int64_t axis = 0; axis < 2; ++axis)
     filters::separable_into(op, plane(x, axis), plane(result, axis), Layout::planar,
@@ -97,6 +101,72 @@ Tensor elastic_displacements(Tensor const& noise, std::optional<Tensor> const& k
   return as_layout(result, layout_of(noise));
 }
 
+// Of drawn noise, maps of a list. `like` (B, 0) has the type and the device; the scales are half the width and half the
+// height, less half a pixel each with align_corners, times alpha.
+Tensor elastic_displacements_list(Tensor const& like, Tensor const& keys, std::optional<Tensor> const& seeds,
+                                  std::optional<Tensor> const& chosen, std::vector<int64_t> const& plan, int64_t ky,
+                                  int64_t kx, double sigma_y, double sigma_x, double alpha_x, double alpha_y,
+                                  bool align_corners, std::vector<int64_t> const& sides) {
+  constexpr char const* op = "elastic_displacements_list";
+  KV_CHECK(like.dim() == 2 && like.scalar_type() == compute_dtype(like), op,
+           ": expected like of shape (B, 0), float32 or float64");
+  int64_t const count = like.size(0);
+  MapBlock const block(op, count, sides);
+  check_chosen(op, chosen, like);
+  check_window(op, ky, kx);
+  Tensor const result = block.empty_like(like);
+  double const less = align_corners ? 1 : 0;
+  ElasticBlur blur{ky, kx, sigma_y, sigma_x, {}};
+  auto const map_of = [&](int64_t b) {
+    return view_of(result, {1, 2, sides[size_t(2 * b)], sides[size_t(2 * b + 1)]}, block.begins[size_t(b)]);
+  };
+  auto const row = [](std::optional<Tensor> const& of, int64_t b) -> std::optional<Tensor> {
+    if (!of || of->size(0) == 1) return of;
+    Tensor all = *of;
+    return torch::stable::narrow(all, 0, b, 1);
+  };
+#if defined(KV_CUDA)
+  if (fits_kernel(like.scalar_type(), blur) && count > 0) {
+    int64_t largest = 0;
+    for (int64_t b = 1; b < count; ++b)
+      if (map_of(b).numel() > map_of(largest).numel()) largest = b;
+    Tensor const one = map_of(largest);
+    Tensor const all = view_of(one, {count, 2, one.size(2), one.size(3)}, {0, one.stride(1), one.stride(2), 1});
+    NoiseSource const source{op, all, keys, seeds, plan};
+    source.check();
+    KV_CHECK(one.numel() <= INT32_MAX, op, ": expected maps of less than 2^31 numbers");
+    ElasticDisplacementsList p{};
+    set_blur(p.all, blur);
+    p.half[0] = alpha_x, p.half[1] = alpha_y, p.less = less;
+    p.all.noise.channels = 2, p.all.noise.step = 1;
+    p.all.noise.y = data_ptr<float>(result);
+    set_chosen(p.all.noise, chosen);
+    source.set(p.all.noise);
+    ElasticDisplacements const shared = p.all;
+    block.for_each_table(p.list, [&](int64_t first) {
+      p.all = shared;
+      p.all.noise.skip(first);
+      KV_RUN(elastic_displacements_list, result, p, 1, 0);
+    });
+    return result;
+  }
+#endif
+  KV_CHECK(plan.size() >= 4, op, ": expected a plan of four to six numbers");
+  std::vector<int64_t> own = plan;
+  own.resize(6);
+  int64_t const first = own[5];
+  for (int64_t b = 0; b < count; ++b) {
+    Tensor const one = map_of(b);
+    own[5] = first + b;
+    std::optional<Tensor> const seed = row(seeds, b);
+    blur.scale[0] = alpha_x * (double(one.size(3)) - less) / 2,
+    blur.scale[1] = alpha_y * (double(one.size(2)) - less) / 2;
+    NoiseSource const source{op, one, keys, seed, own};
+    write_displacements(op, nullptr, &source, blur, one, row(chosen, b));
+  }
+  return result;
+}
+
 }  // namespace
 
 // Displacements of elastic transforms: given noise (B, 2, H, W), or noise drawn by keys, after a Gaussian blur, times
@@ -104,5 +174,8 @@ Tensor elastic_displacements(Tensor const& noise, std::optional<Tensor> const& k
 KV_OPERATOR(elastic_displacements,
             "(Tensor noise, Tensor? keys, Tensor? seeds, int[] plan, int ky, int kx, float sigma_y, "
             "float sigma_x, float scale_x, float scale_y) -> Tensor")
+KV_OPERATOR(elastic_displacements_list,
+            "(Tensor like, Tensor keys, Tensor? seeds, Tensor? chosen, int[] plan, int ky, int kx, float sigma_y, "
+            "float sigma_x, float alpha_x, float alpha_y, bool align_corners, SymInt[] size) -> Tensor")
 
 }  // namespace kv::augmentation

@@ -79,7 +79,7 @@ CORRESPONDENCE_ERROR = {
 }
 CORRESPONDENCE_ERROR_NAMES = tuple(CORRESPONDENCE_ERROR)
 # MapKind in csrc/augmentation/distortion/displacement_map.h
-MAP_KIND = {"lens": 0, "swirl": 1, "cells": 2, "triangles": 3}
+MAP_KIND = {"camera": 0, "fisheye_lens": 1, "swirl": 2, "cells": 3, "triangles": 4, "fisheye": 5, "thin_plate": 6}
 MAP_KIND_NAMES = tuple(MAP_KIND)
 # BlockValue in csrc/augmentation/corruption/pixelate.h
 BLOCK_VALUE = {"mean": 0, "mean_of_whole": 1, "pixel": 2}

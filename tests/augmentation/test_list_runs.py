@@ -16,6 +16,7 @@ from kvision.augmentation.drawn_pass import DrawnListPass
 from kvision.augmentation.engine import list_runs
 from op_tests import assert_close
 
+FISHEYE = [torch.tensor(r, device="cpu") for r in ((-0.3, 0.3), (-0.3, 0.3), (0.9, 1.1))]
 PASSES = {
     "flips": lambda: (A.RandomHorizontalFlip(), A.RandomVerticalFlip(p=1.0)),
     "affine": lambda: (A.RandomAffine(20.0, (0.1, 0.1), (0.8, 1.2), p=0.7),),
@@ -38,6 +39,13 @@ PASSES = {
     "box": lambda: (A.RandomBoxBlur(p=0.7), A.RandomBoxBlur((3, 2), "circular", p=1.0), A.RandomHorizontalFlip()),
     "median": lambda: (A.RandomMedianBlur(p=0.7), A.RandomMedianBlur((5, 5)), A.RandomMedianBlur((2, 3), p=1.0)),
     "disks": lambda: (A.Defocus((1, 2), p=0.7), A.Defocus((1, 3), p=0.7)),
+    "lenses": lambda: (
+        A.OpticalDistortion(p=0.7),
+        A.RandomHorizontalFlip(),
+        A.OpticalDistortion(mode="fisheye", resample="bicubic", padding_mode="reflection", p=0.7),
+        A.RandomFisheye(*FISHEYE, p=0.7),
+    ),
+    "splines": lambda: (A.RandomThinPlateSpline(p=0.7), A.Swirl(resample="nearest", padding_mode="border", p=0.7)),
     "late crop": lambda: (A.RandomHorizontalFlip(), A.RandomResizedCrop((12, 14)), A.ColorJitter(0.2, 0.2)),
 }
 
@@ -50,9 +58,16 @@ NOISES = {
     "dropped": lambda: (A.PixelDropout(0.2, p=0.7), A.PixelDropout(0.2, True, "random", p=0.7)),
     "photons": lambda: (A.ShotNoise(p=0.7), A.RandomHorizontalFlip()),
     "sensor": lambda: (A.ISONoise(p=0.7),),
+    "grids": lambda: (A.GridDistortion(p=0.7), A.PiecewiseAffine(nb_rows_range=(3, 5), p=0.7)),
+    "elastic": lambda: (
+        A.RandomElasticTransform((9, 7), (2.0, 3.0), (2.0, 3.0), p=0.7),
+        A.RandomRotation(20.0),
+        A.RandomElasticTransform((5, 5), (2.0, 2.0), align_corners=True, p=0.7),
+    ),
     "late": lambda: (A.RandomErasing(), A.RandomResizedCrop((12, 14)), A.RandomErasing(), A.SpeckleNoise(p=1.0)),
 }
 BLURS = ("gaussian", "box", "median", "disks")
+MAPS = ("lenses", "splines", "grids", "elastic")
 PASSES_AND_NOISES = {**PASSES, **NOISES}
 
 
@@ -158,7 +173,7 @@ def test_results_in_another_type(device):
     assert not is_by_passes(A.ImageSequential(augment))
 
 
-@pytest.mark.parametrize("name", ["flips", "affine", "everything", "erasing", "factors", *BLURS])
+@pytest.mark.parametrize("name", ["flips", "affine", "everything", "erasing", "factors", *BLURS, *MAPS])
 def test_as_many_launches_as_a_batch(name):
     """With contrast two more where the planes of some images begin between vectors: no cluster of blocks keeps these."""
     if not torch.cuda.is_available():

@@ -1,6 +1,7 @@
-// Maps of lenses, vortices and grids on the CPU: rows [begin, end) of all samples. Compiled once per instruction set.
+// Maps of lenses, vortices, grids and splines on the CPU: rows [begin, end) of all samples, or of a list items, which
+// are some rows of a map. Compiled once per instruction set.
 #include "augmentation/distortion/displacement_map.h"
-#include "core/lanes.h"
+#include "geometry/transform/lists/list_items.h"
 
 namespace kv::augmentation::KV_ISA {
 namespace {
@@ -23,18 +24,21 @@ KV_HD void fill_rows(DisplacementMap<T> const& p, int64_t begin, int64_t end) {
 
 template <class T>
 void displacement_map(DisplacementMap<T> const& p, int64_t begin, int64_t end) {
-  switch (p.kind) {
-    case MapKind::lens:
-      return fill_rows<LensMap<T>>(p, begin, end);
-    case MapKind::swirl:
-      return fill_rows<SwirlMap<T>>(p, begin, end);
-    case MapKind::cells:
-      return fill_rows<CellsMap<T>>(p, begin, end);
-    case MapKind::triangles:
-      return fill_rows<TrianglesMap<T>>(p, begin, end);
-  }
+  with_map<T>(p.kind, [&](auto map) KV_INLINE { fill_rows<typename decltype(map)::type>(p, begin, end); });
+}
+
+template <class T>
+void displacement_map_list(DisplacementMapList<T> const& p, int64_t begin, int64_t end) {
+  geometry::KV_ISA::for_each_sample(p.list, begin, end, [&](int b, int64_t first, int64_t last) {
+    DisplacementMap<T> const one = p.sample(b);
+    int64_t const rows = rows_of_item(one.width), from = first * rows, to = min(last * rows, one.height);
+    if (p.is_chosen(b)) return displacement_map(one, from, to);
+    for (T* const y : {one.y, one.y + one.height * one.width})
+      for (int64_t i = from * one.width; i < to * one.width; ++i) y[i] = 0;
+  });
 }
 
 KV_INSTANTIATE_COMPUTED(displacement_map, DisplacementMap)
+KV_INSTANTIATE_COMPUTED(displacement_map_list, DisplacementMapList)
 
 }  // namespace kv::augmentation::KV_ISA

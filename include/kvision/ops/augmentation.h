@@ -78,6 +78,9 @@ inline constexpr Operator<"add_snow", Tensor(Tensor images, Tensor flakes, doubl
 
 inline constexpr Operator<"displacement_map", Tensor(Tensor rows, int64_t kind, Floats numbers, Ints size)>
     displacement_map{no_gradient};
+inline constexpr Operator<"displacement_map_list",
+                          Tensor(Tensor rows, OptionalTensor chosen, int64_t kind, Floats numbers, Ints size)>
+    displacement_map_list{no_gradient};
 
 // --- augmentation/draw_links_op.cpp
 
@@ -109,6 +112,11 @@ inline constexpr Operator<"elastic_displacements",
                           Tensor(Tensor noise, OptionalTensor keys, OptionalTensor seeds, Ints plan, int64_t ky,
                                  int64_t kx, double sigma_y, double sigma_x, double scale_x, double scale_y)>
     elastic_displacements{detail::rules::elastic_displacements};
+inline constexpr Operator<"elastic_displacements_list",
+                          Tensor(Tensor like, Tensor keys, OptionalTensor seeds, OptionalTensor chosen, Ints plan,
+                                 int64_t ky, int64_t kx, double sigma_y, double sigma_x, double alpha_x, double alpha_y,
+                                 bool align_corners, Ints size)>
+    elastic_displacements_list{no_gradient};
 
 // --- augmentation/erase_op.cpp
 

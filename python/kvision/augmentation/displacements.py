@@ -16,6 +16,8 @@ from kvision.augmentation.maps import vector
 from kvision.augmentation.noise import PixelNoise, uniform_noise
 from kvision.filters.kernels import sigmas
 from kvision.filters.smoothing import gaussian
+from kvision.geometry.transform.lists.arguments import row
+from kvision.geometry.transform.lists.remap_list import packed, packed_size
 
 # Arguments of the operator: noise (B, 2, H, W) in [-1, 1]; keys, seeds and plan of noise.py, or None, None and an empty list;
 # height and width of the window of the blur; its standard deviations along y and x; the scales of x and y. With keys the noise is
@@ -44,6 +46,32 @@ def _backward(needs: Sequence[bool], grad: Tensor, noise: Tensor, keys: Any, see
 
 _elastic_displacements = register(
     "elastic_displacements", _reference, backward=_backward, flatten=flatten_draws(keys=1)
+)
+
+
+# Arguments of the operator on lists: the type and the device (B, 0); keys and seeds; (B,) float32 that is 0 for maps of 0, or None;
+# the plan; the window and its deviations; alpha of x and y, whether half the sides are those between the centers of pixels; height and
+# width of each image.
+
+
+def _list_reference(
+    like: Tensor, keys: Tensor, seeds: Tensor | None, chosen: Tensor | None, plan: Sequence[int], *rest: Any
+) -> Tensor:
+    *blur, alpha_x, alpha_y, align_corners, sides = rest
+    less, first, each = 1 if align_corners else 0, [*plan, 0, 0][5], []
+    for b, (h, w) in enumerate(zip(sides[::2], sides[1::2])):
+        own_plan = [*plan[:4], 0, first + b]
+        scale = (alpha_x * (w - less) / 2, alpha_y * (h - less) / 2)
+        own = _reference(like.new_empty(1, 2, h, w), keys, row(seeds, b), own_plan, *blur, *scale)[0]
+        each.append(own if chosen is None else torch.where(chosen[b if len(chosen) > 1 else 0] != 0, own, 0.0))
+    return packed(each)
+
+
+_elastic_displacements_list = register(
+    "elastic_displacements_list",
+    _list_reference,
+    fake=lambda like, *args: (packed_size(args[-1]),),
+    flatten=lambda *_: None,  # of a list there is no vmap
 )
 
 
@@ -91,4 +119,20 @@ def elastic_displacements(
         return y
     keys, seeds, _, plan = source.arguments()
     y = _elastic_displacements(noise, keys, seeds, list(plan), *blur, *scale)
+    return y
+
+
+def elastic_displacements_of_list(
+    source: PixelNoise,
+    blur: tuple[int, int, float, float],
+    alpha: tuple[float, float],
+    align_corners: bool,
+    sides: Sequence[int],
+    like: Tensor,
+    chosen: Tensor | None,
+) -> Tensor:
+    """The maps of a list of drawn noise, for height and width of each image, in the type of `like` (B, 0); 0 where not `chosen`."""
+    keys, seeds, _, plan = source.arguments()
+    arguments = (keys, seeds, chosen, list(plan), *blur, *alpha, align_corners, list(sides))
+    y: Tensor = _elastic_displacements_list(like, *arguments)
     return y

@@ -3,146 +3,33 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from kvision import _check
-from kvision._dtype import compute_dtype
-from kvision._ops import match_layout
-from kvision._torch_compat import linspace
-from kvision.augmentation import maps
-from kvision.augmentation.displacements import NoiseField, blur_settings, elastic_displacements, scaled_blur
-from kvision.augmentation.engine import AugmentationBase2D, Contribution, Execution, Motion, Params
-from kvision.augmentation.maps import vector
+from kvision.augmentation.displacements import (
+    NoiseField,
+    blur_settings,
+    elastic_displacements,
+    elastic_displacements_of_list,
+    scaled_blur,
+)
+from kvision.augmentation.distortion.displacement_map import MapFormula
+from kvision.augmentation.distortion.distortion_base import MapAugmentation
+from kvision.augmentation.engine import Execution, Params
 from kvision.augmentation.noise import PixelNoise, noise_plan
-from kvision.augmentation.preimages import find_positions
 from kvision.augmentation.random_generator.elastic import ElasticGenerator, FisheyeGenerator, ThinPlateSplineGenerator
 from kvision.augmentation.ranges import Numbers
-from kvision.augmentation.samples import where_chosen
-from kvision.augmentation.warp_and_color import Resampling
 from kvision.constants import AnyResample, AnySamplePadding, Resample, SamplePadding
 from kvision.core.exceptions import TypeCheckError
-from kvision.geometry import get_tps_transform, warp_points_tps
-from kvision.geometry.linalg import root
+from kvision.geometry import get_tps_transform
 
 _WINDOW_SIZE = 256  # pixels along each side of the images that windows of `scale_window` are for
 
 __all__ = ["RandomElasticTransform", "RandomFisheye", "RandomThinPlateSpline"]
-
-
-class MapAugmentation(AugmentationBase2D, keeps_contract=True):
-    """A deformation by a map: where each pixel of the result reads the image."""
-
-    accepts_bytes = accepts_wide_integers = True
-    keeps_lines = False
-    moves_by_map = True
-
-    def displacements(self, shape: tuple[int, ...], params: Params, flags: dict[str, Any], like: Tensor) -> Tensor:
-        """The map (B, 2, H, W), as maps.py stores it."""
-        raise NotImplementedError
-
-    def _noise_field(self, shape: tuple[int, ...], number: int, has_seed: bool) -> NoiseField | None:
-        """The map for kernels that draw its noise; None if it is another map.
-
-        `number` is that of the augmentation, as draw_columns counts.
-        """
-        return None
-
-    def _declared(self, shape: tuple[int, ...], flags: dict[str, Any]) -> Contribution:
-        return Contribution(Motion((shape[-2], shape[-1]), self.resampling(flags), None))
-
-    def resampling(self, flags: dict[str, Any]) -> Resampling:
-        """How images are read."""
-        mode = Resample.get(flags.get("resample", Resample.BILINEAR)).name.lower()
-        padding = SamplePadding.get(flags.get("padding_mode", SamplePadding.ZEROS)).name.lower()
-        return Resampling(mode, padding, flags.get("align_corners", True))
-
-    def _run(self, x: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
-        if not execution.applied or not execution.keeps_map or self._is_customized():
-            return super()._run(x, execution, flags)
-        y = maps.read_displaced(x, self._map_of(execution, flags, x), self.resampling(flags))
-        return where_chosen(execution.chosen, match_layout(y, x), x)
-
-    def apply_transform(
-        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
-    ) -> Tensor:
-        like = input.new_empty(0, dtype=compute_dtype(input))
-        moved = self.displacements(tuple(input.shape), params, flags, like)
-        return maps.read_displaced(input, moved, self.resampling(flags))
-
-    def displacements_of(self, execution: Execution, flags: dict[str, Any], like: Tensor) -> Tensor:
-        """The map of an execution, 0 for samples that are not chosen, on the device of `like` and in the type it computes in."""
-        return where_chosen(execution.chosen, self._map_of(execution, flags, like), 0.0)
-
-    def _map_of(self, execution: Execution, flags: dict[str, Any], like: Tensor) -> Tensor:
-        """The map as drawn for all samples. The first one of an execution that keeps its map serves later ones of its type."""
-        dtype, kept = compute_dtype(like), execution.map
-        if kept is not None and kept.device == like.device and kept.dtype == dtype:
-            return kept
-        params = self._params_on_device(like, execution, for_users=False)
-        like = like if like.dtype == dtype else like.new_empty(0, dtype=dtype)
-        moved = self.displacements(execution.shape, params, flags, like)
-        if execution.keeps_map and kept is None:
-            execution.map = moved
-        return moved
-
-    def transform_masks(self, masks: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
-        if not execution.applied or masks.shape[0] == 0:
-            return masks
-        resampling = self.resampling(flags).for_labels(fill=flags.get("mask_fill"))
-        moved = maps.read_labels_displaced(masks, self.displacements_of(execution, flags, masks), resampling)
-        return where_chosen(execution.chosen, moved, masks)
-
-    def transform_points(self, points: Tensor, execution: Execution) -> Tensor:
-        if not execution.applied or 0 in points.shape:
-            return points
-        with torch.no_grad():
-            moved, _ = find_positions(self.displacements_of(execution, self.flags, points), points)
-        return where_chosen(execution.chosen, moved.to(points), points)
-
-    # --- inverse ---
-
-    def inverse_images(self, x: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
-        if not execution.applied or 0 in x.shape:
-            return x
-        back, converged = self._inverse_map(x, execution, flags)
-        y = torch.where(converged, maps.read(x, back, self.resampling(flags).for_inverse()), 0).to(x.dtype)
-        return where_chosen(execution.chosen, y, x)
-
-    def inverse_masks(self, masks: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
-        if not execution.applied or 0 in masks.shape:
-            return masks
-        back, converged = self._inverse_map(masks, execution, flags)
-        read = maps.read_labels(masks, back, self.resampling(flags).for_inverse("nearest"))
-        return where_chosen(execution.chosen, torch.where(converged, read, 0).to(masks.dtype), masks)
-
-    def _inverse_map(self, x: Tensor, execution: Execution, flags: dict[str, Any]) -> tuple[Tensor, Tensor]:
-        """Where the pixels of the image are in the result, (B, H, W, 2), and whether they are there, (B, 1, H, W)."""
-        moved = self.displacements_of(execution, flags, x)
-        h, w = moved.shape[-2:]
-        pixels = maps.pixel_positions(h, w, moved).unflatten(1, (h, w)).expand(len(moved), -1, -1, -1)
-        back, converged = maps.find_everywhere(moved, pixels)
-        return back, converged[:, None]
-
-    def inverse_points(self, points: Tensor, execution: Execution) -> Tensor:
-        if not execution.applied or 0 in points.shape:
-            return points
-        moved = maps.read_positions(self.displacements_of(execution, self.flags, points), points)
-        return where_chosen(execution.chosen, moved, points)
-
-
-def _grid(height: int, width: int, like: Tensor) -> Tensor:
-    """(2, H, W): the coordinates x and y of the pixels, from -1 to 1 at the centers of the outermost ones."""
-    y, x = (linspace(-1, 1, n, like) for n in (height, width))
-    return torch.stack([x.expand(height, width), y[:, None].expand(height, width)])
-
-
-def _half_sizes(height: int, width: int, align_corners: bool, like: Tensor) -> Tensor:
-    """(2, 1, 1): half of what coordinates from -1 to 1 extend over, in pixels."""
-    less = 1 if align_corners else 0
-    return vector(like, (width - less) / 2, (height - less) / 2)[:, None, None]
 
 
 class RandomElasticTransform(MapAugmentation, keeps_contract=True):
@@ -232,6 +119,24 @@ class RandomElasticTransform(MapAugmentation, keeps_contract=True):
             return None
         return NoiseField((shape[-2], shape[-1]), noise_plan(number, has_seed, self.same_on_batch), blur, scale)
 
+    @property
+    def _has_maps_of_lists(self) -> bool:
+        is_drawn = blur_settings(self.flags["kernel_size"], self.flags["sigma"])[3] is not None
+        return is_drawn and not self.flags["scale_window"]
+
+    def _maps_of_list(self, sides: Sequence[int], execution: Execution, like: Tensor) -> Tensor:
+        flags, chosen = self.flags, execution.chosen
+        source = self._pixel_noise(execution, execution.redraw, like.device)
+        return elastic_displacements_of_list(
+            source,
+            blur_settings(flags["kernel_size"], flags["sigma"]),
+            flags["alpha"],
+            flags["align_corners"],
+            sides,
+            like,
+            None if chosen is None else chosen.float(),
+        )
+
     def displacements(self, shape: tuple[int, ...], params: Params, flags: dict[str, Any], like: Tensor) -> Tensor:
         key = ("displacements", shape[-2:])
         plan = self._plans.get(key) if flags is self.flags else None
@@ -280,20 +185,10 @@ class RandomThinPlateSpline(MapAugmentation, keeps_contract=True):
         self._param_generator = ThinPlateSplineGenerator(scale)
         self.flags = {"align_corners": align_corners, "padding_mode": SamplePadding.get(padding_mode)}
 
-    def displacements(self, shape: tuple[int, ...], params: Params, flags: dict[str, Any], like: Tensor) -> Tensor:
+    def _formula(self, params: Params, flags: dict[str, Any], like: Tensor) -> MapFormula:
         source, destination = params["src"].to(like), params["dst"].to(like)
-        weights, affine = get_tps_transform(destination, source)
-        height, width = shape[-2:]
-        align_corners = flags["align_corners"]
-        grid = _grid(height, width, like)
-        if not align_corners:  # the centers of the outermost pixels are half a pixel inside
-            grid = grid * vector(like, (width - 1) / width, (height - 1) / height)[:, None, None]
-        points = grid.flatten(1).mT.expand(shape[0], -1, 2)
-        moved = warp_points_tps(points, destination, weights, affine).mT.unflatten(2, (height, width))
-        return (moved - grid) * _half_sizes(height, width, align_corners, like)
-
-
-_NEAREST = 2.0**-10
+        parts = [destination, *get_tps_transform(destination, source)]
+        return MapFormula("thin_plate", torch.cat([part.flatten(1) for part in parts], 1), (flags["align_corners"],))
 
 
 class RandomFisheye(MapAugmentation, keeps_contract=True):
@@ -334,14 +229,6 @@ class RandomFisheye(MapAugmentation, keeps_contract=True):
         self._param_generator = FisheyeGenerator(center_x, center_y, gamma)
         self.flags = {"align_corners": True}
 
-    def displacements(self, shape: tuple[int, ...], params: Params, flags: dict[str, Any], like: Tensor) -> Tensor:
-        height, width = shape[-2:]
-        grid = _grid(height, width, like)
-        center = torch.cat([params["center_x"], params["center_y"]], 1).to(like)[:, :, None, None]
-        radius = root((grid - center).square().sum(1, keepdim=True))
-        gamma = params["gamma"].to(like)[:, :, None, None]
-        radius = torch.where(
-            gamma < 0, radius.clamp(min=_NEAREST), radius
-        )  # so that the center reads a finite position
-        displaced = grid * radius**gamma
-        return displaced * _half_sizes(height, width, True, like)
+    def _formula(self, params: Params, flags: dict[str, Any], like: Tensor) -> MapFormula:
+        names = ("center_x", "center_y", "gamma")
+        return MapFormula("fisheye", torch.cat([params[name].to(like) for name in names], 1))

@@ -22,6 +22,7 @@ from kvision.geometry.transform import sampling
 from kvision.geometry.transform.antialiased.warp_antialiased import remap_antialiased, warp_antialiased
 from kvision.geometry.transform.composed.composed_warp import composed_coords, composed_warp, link_arguments
 from kvision.geometry.transform.lists.arguments import like_batch
+from kvision.geometry.transform.lists.remap_list import remap_list
 from kvision.geometry.transform.lists.resize_windows_list import resize_windows_list
 from kvision.geometry.transform.lists.warp_list import warp_list
 from kvision.geometry.transform.resize_windows import resized_windows
@@ -35,6 +36,18 @@ _BETWEEN = INTERPOLATION["bilinear"], PADDING["border"], True  # how displacemen
 def read_displaced(x: Tensor, displacements: Tensor, resampling: Resampling) -> Tensor:
     """Images (B, C, H, W) read by a map of their size."""
     return _read(x, displacements.unbind(1), resampling, fill_of_images(x, resampling.fill), displaces=True)
+
+
+def read_displaced_list(
+    images: Sequence[Tensor], displacements: Tensor, resampling: Resampling, by_channel: bool = False
+) -> list[Tensor]:
+    """Images (C, H, W) of different sizes read by maps, of each or of each of their channels, as `remap_list` takes them."""
+    like = like_batch(images)
+    padding, fill = sampling.padding_and_fill(
+        "augmentation", like, resampling.padding, fill_of_images(like, resampling.fill)
+    )
+    options = (INTERPOLATION[resampling.mode], padding, resampling.align_corners, by_channel)
+    return list(remap_list(list(images), displacements, fill, *options))
 
 
 def read(x: Tensor, coordinates: Tensor, resampling: Resampling, antialias: bool = False) -> Tensor:

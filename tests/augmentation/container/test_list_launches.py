@@ -31,16 +31,9 @@ BY_SIZE = {
     "a stencil or a map": {
         "ChromaticAberration",
         "GlassBlur",
-        "GridDistortion",
-        "OpticalDistortion",
-        "PiecewiseAffine",
-        "RandomElasticTransform",
-        "RandomFisheye",
         "RandomMotionBlur",
         "RandomSharpness",
-        "RandomThinPlateSpline",
         "RingingOvershoot",
-        "Swirl",
         "ZoomBlur",
     },
     "statistics or blocks of the whole image": {

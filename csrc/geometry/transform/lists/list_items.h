@@ -7,8 +7,8 @@ namespace kv::geometry::KV_ISA {
 namespace {
 
 // Calls run(sample, first, last) for the items [begin, end) of each sample, counted from its first one.
-template <class Run>
-void for_each_sample(ListedSamples const& list, int64_t begin, int64_t end, Run run) {
+template <class List, class Run>
+void for_each_sample(List const& list, int64_t begin, int64_t end, Run run) {
   while (begin < end) {
     int const b = list.sample_of(int(begin));
     int64_t const first = list.first[b], next = b + 1 < list.count ? list.first[b + 1] : list.items;

@@ -10,7 +10,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._dtype import compute_dtype
 from kvision.augmentation import maps
-from kvision.augmentation.distortion.lenses import lens_displacements
+from kvision.augmentation.distortion.displacement_map import MapFormula
 from kvision.augmentation.engine import Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
 from kvision.augmentation.random_generator.mapped import MappedGenerator
@@ -86,6 +86,6 @@ class ChromaticAberration(IntensityAugmentationBase2D, keeps_contract=True):
         still = torch.zeros_like(red)  # green
         first = torch.stack([red, still, blue], 1).flatten()
         second = torch.stack([more_red, still, more_blue], 1).flatten().abs().copysign(first)
-        moved = lens_displacements(torch.stack([first, second], 1), *input.shape[-2:])
+        moved = MapFormula("camera", torch.stack([first, second], 1)).map(input.shape[-2:])
         resampling = Resampling(Resample.get(flags["resample"]).name.lower(), "border", True)
         return maps.read_displaced(input.reshape(-1, 1, *input.shape[-2:]), moved, resampling).view(input.shape)

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision.augmentation import ranges
-from kvision.augmentation.distortion.displacement_map import displacement_map
+from kvision.augmentation.distortion.displacement_map import MapFormula
 from kvision.augmentation.distortion.distortion_base import DistortionBase
 from kvision.augmentation.engine import Params
 from kvision.augmentation.random_generator.mapped import MappedGenerator, NoiseMap
@@ -59,14 +59,14 @@ class GridDistortion(DistortionBase, keeps_contract=True):
         self.normalized = _check.switch(op, "normalized", normalized)
         self._param_generator = MappedGenerator(maps={"steps": NoiseMap(size=(2, 1, steps))}, op=op)
 
-    def displacements(self, shape: tuple[int, ...], params: Params, flags: dict[str, Any], like: Tensor) -> Tensor:
+    def _formula(self, params: Params, flags: dict[str, Any], like: Tensor) -> MapFormula:
         learned, steps = self._range.tensor, params["steps"].to(like).flatten(1)  # of columns, then of rows
         if learned is None:
             factors = torch.add(1 + self._range.low, steps, alpha=self._range.high - self._range.low)
         else:
             low, high = learned.to(like).unbind()
             factors = 1 + low + (high - low) * steps
-        return displacement_map("cells", factors, shape[-2:], self.normalized)
+        return MapFormula("cells", factors, (self.normalized,))
 
 
 class PiecewiseAffine(DistortionBase, keeps_contract=True):
@@ -119,9 +119,8 @@ class PiecewiseAffine(DistortionBase, keeps_contract=True):
             op=op,
         )
 
-    def displacements(self, shape: tuple[int, ...], params: Params, flags: dict[str, Any], like: Tensor) -> Tensor:
-        height, width = shape[-2:]
-        nodes, unit = params["nodes"].to(like), 1 if self.absolute_scale else min(height, width)
+    def _formula(self, params: Params, flags: dict[str, Any], like: Tensor) -> MapFormula:
+        nodes = params["nodes"].to(like)
         numbers = (params[name].to(like)[:, None] for name in ("scale", "rows", "columns"))
         rows = torch.cat([*numbers, nodes.flatten(1)], 1)
-        return displacement_map("triangles", rows, (height, width), *nodes.shape[2:], unit / 3)
+        return MapFormula("triangles", rows, (*nodes.shape[2:], self.absolute_scale))

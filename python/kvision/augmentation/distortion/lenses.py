@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any, Literal, TypeAlias, get_args
 
-import torch
 from torch import Tensor
 
 from kvision import _check
-from kvision.augmentation.distortion.displacement_map import displacement_map
+from kvision.augmentation.distortion.displacement_map import MapFormula
 from kvision.augmentation.distortion.distortion_base import DistortionBase
 from kvision.augmentation.engine import Params
 from kvision.augmentation.random_generator.mapped import MappedGenerator
@@ -17,11 +15,6 @@ from kvision.augmentation.ranges import Numbers
 from kvision.constants import AnyResample, AnySamplePadding, Resample, SamplePadding
 
 LensMode: TypeAlias = Literal["camera", "fisheye"]
-
-
-def lens_displacements(coefficients: Tensor, height: int, width: int) -> Tensor:
-    """The map (B, 2, H, W) of lenses by Brown and Conrady with k1 and k2 (B, 2); the focal lengths are width and height."""
-    return displacement_map("lens", coefficients, (height, width), width / 2, height / 2, width, height)
 
 
 class OpticalDistortion(DistortionBase, keeps_contract=True):
@@ -66,11 +59,6 @@ class OpticalDistortion(DistortionBase, keeps_contract=True):
         self.mode = mode
         self._param_generator = MappedGenerator((distort_range, "distort", None, None), op="OpticalDistortion")
 
-    def displacements(self, shape: tuple[int, ...], params: Params, flags: dict[str, Any], like: Tensor) -> Tensor:
-        height, width = shape[-2:]
-        k = params["distort"].to(like)
-        if self.mode == "camera":
-            return lens_displacements(torch.stack([k, k], 1), height, width)
-        focal = math.hypot(height / 2, width / 2)
-        numbers = (width - 1) / 2, (height - 1) / 2, focal, focal
-        return displacement_map("lens", torch.stack([k, torch.zeros_like(k)], 1), (height, width), *numbers)
+    def _formula(self, params: Params, flags: dict[str, Any], like: Tensor) -> MapFormula:
+        k = params["distort"].to(like)[:, None]
+        return MapFormula("camera", k.expand(-1, 2)) if self.mode == "camera" else MapFormula("fisheye_lens", k)

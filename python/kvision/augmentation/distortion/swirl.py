@@ -7,7 +7,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from kvision.augmentation.distortion.displacement_map import displacement_map
+from kvision.augmentation.distortion.displacement_map import MapFormula
 from kvision.augmentation.distortion.distortion_base import DistortionBase
 from kvision.augmentation.engine import Params
 from kvision.augmentation.random_generator.mapped import MappedGenerator
@@ -63,6 +63,6 @@ class Swirl(DistortionBase, keeps_contract=True):
             op="Swirl",
         )
 
-    def displacements(self, shape: tuple[int, ...], params: Params, flags: dict[str, Any], like: Tensor) -> Tensor:
+    def _formula(self, params: Params, flags: dict[str, Any], like: Tensor) -> MapFormula:
         names = ("strength", "radius", "center_x", "center_y")
-        return displacement_map("swirl", torch.stack([params[name].to(like) for name in names], 1), shape[-2:])
+        return MapFormula("swirl", torch.stack([params[name].to(like) for name in names], 1))

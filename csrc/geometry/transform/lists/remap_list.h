@@ -1,0 +1,106 @@
+// Maps of lists of images of different sizes: a sample of a list is a batch of one with displacements of its own, for
+// which the kernels of sampling.h are run. The results have the sizes of the images.
+#pragma once
+
+#include "core/image_list.h"
+#include "geometry/transform/lists/sample_list.h"
+
+namespace kv::geometry {
+
+// Results and maps lie in a block of memory each, where each begins at a multiple of so many elements.
+constexpr int kBlockUnit = 16;
+
+// What is read for each of `count` samples, and where what is written and its map (2, H, W) begin in their blocks.
+struct MappedSamples {
+  int count, items;
+  bool interleaved;  // results
+  ListedImage images[kMaxListed];
+  uint32_t results[kMaxListed], maps[kMaxListed];  // in units
+  int first[kMaxListed];
+
+  KV_HD int sample_of(int item) const {
+    return entry_of_item(count, item, [&](int i) { return first[i]; });
+  }
+};
+
+// Where each channel has a map of its own, one of them is sampled at a time.
+struct MappedChannels {
+  int count, only;  // only: or -1 for all
+
+  template <class T>
+  KV_HD Images<T> of(Images<T> all) const {
+    if (only >= 0) all.data += only * all.channel_stride, all.channels = 1;
+    return all;
+  }
+};
+
+// `all` is what the samples have in common, with the blocks of results and maps.
+template <class T>
+struct RemapList {
+  Sample<T> all;
+  MappedSamples list;
+  MappedChannels channels;
+  int tiles_per_block;  // on CUDA
+};
+
+// The gradients of the images: the list has those of the results, and what is written, which is planar.
+template <class T>
+struct RemapListBackward {
+  SampleImageBackward<T> all;
+  MappedSamples list;
+  MappedChannels channels;
+  int64_t elements;  // of the sums
+};
+
+// The samples of one image of a size, by the map that begins at a unit of its block.
+template <class S>
+KV_HD void select_mapped(S& p, int b, uint32_t map, MappedChannels const& channels, Size size) {
+  select_sample(p, b, size, size);
+  if (p.fill && channels.only >= 0) p.fill += channels.only * p.fill_channel_stride;
+  auto& along_x = p.coords.x;
+  along_x.data += int64_t(kBlockUnit) * map;
+  along_x.row_stride = size.width, along_x.step = 1;
+  along_x.batch = 1, along_x.height = size.height, along_x.width = size.width, along_x.channels = 1;
+  p.coords.y = along_x;
+  p.coords.y.data += size.height * size.width;
+}
+
+template <class T>
+KV_HD Sample<T> sample_at(RemapList<T> const& p, int b) {
+  ListedImage const& image = p.list.images[b];
+  ListedResult const result{p.all.y.data + int64_t(kBlockUnit) * p.list.results[b], image.height, image.width};
+  Sample<T> one = p.all;
+  select_mapped(one, b, p.list.maps[b], p.channels, {image.height, image.width});
+  one.x = p.channels.of(images_of<T>(image, p.channels.count));
+  one.y = p.channels.of(images_of<T>(result, p.channels.count, p.list.interleaved));
+  return one;
+}
+
+template <class T>
+KV_HD SampleImageBackward<T> sample_at(RemapListBackward<T> const& p, int b) {
+  ListedImage const& grad = p.list.images[b];
+  SampleImageBackward<T> one = p.all;
+  select_mapped(one, b, p.list.maps[b], p.channels, {grad.height, grad.width});
+  one.sums += int64_t(kBlockUnit) * p.list.results[b];
+  one.grad = p.channels.of(images_of<T>(grad, p.channels.count));
+  auto const sums =
+      p.channels.of(images_of<Compute<T>>(ListedResult{one.sums, grad.height, grad.width}, p.channels.count, false));
+  one.sums = sums.data;
+  // On the CPU, where these are of one type, the sums are the gradient.
+  one.grad_x = {reinterpret_cast<T*>(sums.data),
+                0,
+                sums.channel_stride,
+                sums.row_stride,
+                1,
+                1,
+                sums.height,
+                sums.width,
+                sums.channels};
+  return one;
+}
+
+// On the CPU an item is some rows of a result, or backward a plane; on CUDA a block.
+KV_KERNEL(remap_list, RemapList)
+KV_KERNEL(remap_list_backward, RemapListBackward)
+
+}  // namespace kv::geometry

@@ -1,0 +1,26 @@
+// Maps of lists of images on the CPU, by the kernels of batches: items [begin, end) of all samples. Compiled once per
+// instruction set.
+#include "geometry/transform/lists/list_items.h"
+#include "geometry/transform/lists/remap_list.h"
+
+namespace kv::geometry::KV_ISA {
+template <class T>
+void remap_list(RemapList<T> const& p, int64_t begin, int64_t end) {
+  for_each_sample(p.list, begin, end, [&](int b, int64_t first, int64_t last) {
+    Sample<T> const one = sample_at(p, b);
+    int64_t const rows = rows_of_item(one.y.width);
+    KV_ISA::sample(one, first * rows, min(last * rows, one.y.height));
+  });
+}
+
+template <class T>
+void remap_list_backward(RemapListBackward<T> const& p, int64_t begin, int64_t end) {
+  for_each_sample(p.list, begin, end, [&](int b, int64_t first, int64_t last) {
+    KV_ISA::sample_image_backward(sample_at(p, b), first, last);
+  });
+}
+
+KV_INSTANTIATE_WITH_BYTES(remap_list, RemapList)
+KV_INSTANTIATE_COMPUTED(remap_list_backward, RemapListBackward)
+
+}  // namespace kv::geometry::KV_ISA

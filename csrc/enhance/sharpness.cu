@@ -3,6 +3,7 @@
 // block stages a tile of 64 x 16 pixels with its halo in shared memory.
 #include "core/block_reduce.cuh"
 #include "core/stencils/column_groups.cuh"
+#include "core/stencils/filter_list.cuh"
 #include "sharpness.h"
 
 namespace kv::enhance::cuda {
@@ -13,15 +14,12 @@ constexpr int kThreads = 256, kForwardRows = 8;
 // --- strips ----------------------------------------------------------------------------------------------------------
 
 template <class T, bool Aligned>
-__global__ void __launch_bounds__(kThreads, sizeof(T) == 8   ? 1
-                                            : sizeof(T) == 4 ? 4
-                                                             : 3)
-    run_strip(__grid_constant__ Sharpness<T> const p, Strips<kPixels<T>> const strips) {
+__device__ __forceinline__ void sharpen_strip(Sharpness<T> const& p, Strips<kPixels<T>> const& strips, unsigned block) {
   constexpr int P = kPixels<T>;
   using F = Compute<T>;
   int64_t plane;
   int x, y0;
-  if (!strips.locate(plane, x, y0)) return;
+  if (!strips.locate(block, plane, x, y0)) return;
   int const width = int(p.x.width), height = int(p.x.height), y1 = min(y0 + int(strips.rows), height);
   Strip<1, Aligned, P> const strip(x, width, Border::replicate);
   RowCursor<T> rows(p.x, plane, y0 - 1);
@@ -63,6 +61,25 @@ __global__ void __launch_bounds__(kThreads, sizeof(T) == 8   ? 1
   }
 }
 
+template <class T>
+constexpr int kStripBlocks = sizeof(T) == 8   ? 1
+                             : sizeof(T) == 4 ? 4
+                                              : 3;  // on a multiprocessor at once
+
+template <class T, bool Aligned>
+__global__ void __launch_bounds__(kThreads, kStripBlocks<T>)
+    run_strip(__grid_constant__ Sharpness<T> const p, Strips<kPixels<T>> const strips) {
+  sharpen_strip<T, Aligned>(p, strips, blockIdx.x);
+}
+template <class T>
+__global__ void __launch_bounds__(kThreads, kStripBlocks<T>)
+    run_strip_of_list(__grid_constant__ SharpnessList<T> const list) {
+  unsigned block;
+  Sharpness<T> const* const p = sample_of_block(list, block);
+  if (!p) return;
+  sharpen_strip<T, false>(*p, {p->x.count(), p->x.height, p->x.width, kForwardRows}, block);
+}
+
 // --- bytes: groups of columns ----------------------------------------------------------------------------------------
 //
 // Sums of bytes are exact, two at a time as numbers of 16 bits: those of pixels two columns apart.
@@ -91,14 +108,13 @@ __device__ __forceinline__ float number_of(uint32_t pair, int k) {  // 2^23 and 
 }
 
 template <int Bytes>
-__global__ void __launch_bounds__(kThreads)
-    run_groups(__grid_constant__ Sharpness<uint8_t> const p,
-               __grid_constant__ ColumnGroups<kGroupPixels<uint8_t>> const groups) {
+__device__ __forceinline__ void sharpen_group(Sharpness<uint8_t> const& p,
+                                              ColumnGroups<kGroupPixels<uint8_t>> const& groups, unsigned block) {
   constexpr int P = kGroupPixels<uint8_t>, N = P / 4, kAhead = 2;  // words of a group; rows in flight
   using Rows = GroupRows<uint8_t, P, 1, Bytes>;
   int64_t plane;
   int x, y0;
-  groups.locate(plane, x, y0);
+  groups.locate(block, plane, x, y0);
   Rows const rows(p.x, plane, x, Border::replicate);
   GroupStore<uint8_t, P, Bytes> out(p.y, plane, x, y0);
   int const height = int(p.x.height), y1 = min(y0 + groups.rows, height);
@@ -143,6 +159,22 @@ __global__ void __launch_bounds__(kThreads)
       out.put(result);
       above = at, at = below;
     }
+}
+
+template <int Bytes>
+__global__ void __launch_bounds__(kThreads)
+    run_groups(__grid_constant__ Sharpness<uint8_t> const p,
+               __grid_constant__ ColumnGroups<kGroupPixels<uint8_t>> const groups) {
+  sharpen_group<Bytes>(p, groups, blockIdx.x);
+}
+ColumnGroups<kGroupPixels<uint8_t>> __host__ __device__ groups_of(Sharpness<uint8_t> const& p) {
+  constexpr int P = kGroupPixels<uint8_t>;
+  return {p.x.count(), p.x.height, p.x.width, kStripRows, GroupRows<uint8_t, P, 1, 0>::kReach, kThreads};
+}
+__global__ void __launch_bounds__(kThreads) run_groups_of_list(__grid_constant__ SharpnessList<uint8_t> const list) {
+  unsigned block;
+  Sharpness<uint8_t> const* const p = sample_of_block(list, block);
+  if (p) sharpen_group<0>(*p, groups_of(*p), block);
 }
 
 int launch_groups(Sharpness<uint8_t> const& p, CUstream_st* stream) {
@@ -280,10 +312,10 @@ struct Tile {
 template <class T>
 struct Corner {
   int x, y, width, height;
-  __device__ __forceinline__ explicit Corner(Planes<T> const& p) : width(int(p.width)), height(int(p.height)) {
+  __device__ __forceinline__ Corner(Planes<T> const& p, unsigned block) : width(int(p.width)), height(int(p.height)) {
     int const across = (width + kTileWidth - 1) / kTileWidth;
-    x = int(blockIdx.x) % across * kTileWidth;
-    y = int(blockIdx.x) / across * kTileHeight;
+    x = int(block) % across * kTileWidth;
+    y = int(block) / across * kTileHeight;
   }
   __device__ __forceinline__ bool has(int dx, int dy) const {
     return x + dx >= 0 && x + dx < width && y + dy >= 0 && y + dy < height;
@@ -296,14 +328,15 @@ struct Corner {
   }
 };
 
+// A tile of every `step`-th plane.
 template <class T>
-__global__ void __launch_bounds__(kThreads) run(__grid_constant__ Sharpness<T> const p) {
+__device__ __forceinline__ void sharpen_tile(Sharpness<T> const& p, unsigned block, int64_t first, int64_t step) {
   using F = Compute<T>;
   constexpr F white = sizeof(T) == 1 ? 255 : 1;  // bytes are 255ths
   __shared__ Tile<F, 1> tile;
-  Corner<T const> const at(p.x);
-  Corner<T> const to(p.y);
-  for (int64_t plane = blockIdx.y; plane < p.x.count(); plane += gridDim.y) {
+  Corner<T const> const at(p.x, block);
+  Corner<T> const to(p.y, block);
+  for (int64_t plane = first; plane < p.x.count(); plane += step) {
     F const factor = p.factor.of(plane);
     __syncthreads();  // the previous plane may still be in use
     tile.fill([&](int x, int y) { return at.has(x, y) ? read(at.of(p.x, plane, x, y)) * (1 / white) : F(0); });
@@ -321,12 +354,23 @@ __global__ void __launch_bounds__(kThreads) run(__grid_constant__ Sharpness<T> c
 }
 
 template <class T>
+__global__ void __launch_bounds__(kThreads) run(__grid_constant__ Sharpness<T> const p) {
+  sharpen_tile(p, blockIdx.x, blockIdx.y, gridDim.y);
+}
+template <class T>
+__global__ void __launch_bounds__(kThreads) run_of_list(__grid_constant__ SharpnessList<T> const list) {
+  unsigned block;
+  Sharpness<T> const* const p = sample_of_block(list, block);
+  if (p) sharpen_tile(by_channels(*p), block, 0, 1);
+}
+
+template <class T>
 __global__ void __launch_bounds__(kThreads) run_backward(__grid_constant__ SharpnessBackward<T> const p) {
   using F = Compute<T>;
   __shared__ Tile<F, 2> image;
   __shared__ Tile<F, 1> around;
   __shared__ Tile<F, 0> own;
-  Corner<T const> const at(p.x);
+  Corner<T const> const at(p.x, blockIdx.x);
   for (int64_t plane = blockIdx.y; plane < p.x.count(); plane += gridDim.y) {
     F const factor = p.factor.of(plane);
     F derivative = 0;
@@ -349,7 +393,7 @@ __global__ void __launch_bounds__(kThreads) run_backward(__grid_constant__ Sharp
       return of.around;
     });
     __syncthreads();
-    Corner<T> const to(p.grad_x);
+    Corner<T> const to(p.grad_x, blockIdx.x);
     for (int i = int(threadIdx.x); p.grad_x.data && i < kTileWidth * kTileHeight; i += kThreads) {
       int const x = i % kTileWidth, y = i / kTileWidth;
       if (at.has(x, y))
@@ -387,6 +431,33 @@ int sharpness(Sharpness<T> const& p, CUstream_st* stream) {
   run<<<tiles_of(p.x), kThreads, 0, stream>>>(p);
   return cudaGetLastError();
 }
+
+// Each image by the kernel that a batch of it takes.
+template <class T>
+int sharpness_list(SharpnessList<T> const& p, CUstream_st* stream) {
+  auto const launch = [&](auto kernel, auto blocks_of) {
+    return launch_list(p, blocks_of, [&](SharpnessList<T> const& list, unsigned blocks) {
+      if (blocks > 0) kernel<<<blocks, kThreads, 0, stream>>>(list);
+    });
+  };
+  auto const is_grouped = [](Sharpness<T> const& one) {
+    if constexpr (sizeof(T) == 1) return supports_groups<kGroupPixels<T>, 1>(one.x);
+    return false;
+  };
+  if constexpr (sizeof(T) == 1) {
+    int const error = launch(run_groups_of_list, [&](Sharpness<T> const& one) -> int64_t {
+      return is_grouped(one) ? groups_of(one).blocks() : 0;
+    });
+    if (error) return error;
+  } else if (!p.list.interleaved) {
+    return launch(run_strip_of_list<T>, [](Sharpness<T> const& one) -> int64_t {
+      return Strips<kPixels<T>>(one.x.count(), one.x.height, one.x.width, kForwardRows).blocks();
+    });
+  }
+  return launch(run_of_list<T>, [&](Sharpness<T> const& one) -> int64_t {
+    return is_grouped(one) ? 0 : ceil_div(one.x.width, kTileWidth) * ceil_div(one.x.height, kTileHeight);
+  });
+}
 template <class T>
 int sharpness_backward(SharpnessBackward<T> const& p, CUstream_st* stream) {
   Strips<> const strips(p.x.count(), p.x.height, p.x.width, kStripRows);
@@ -403,6 +474,7 @@ int sharpness_backward(SharpnessBackward<T> const& p, CUstream_st* stream) {
 }
 
 KV_INSTANTIATE_WITH_BYTES(sharpness, Sharpness)
+KV_INSTANTIATE_WITH_BYTES(sharpness_list, SharpnessList)
 KV_INSTANTIATE(sharpness_backward, SharpnessBackward)
 
 }  // namespace kv::enhance::cuda

@@ -9,6 +9,7 @@
 
 #include "core/ceil_div.h"
 #include "core/isa.h"
+#include "core/stencils/filter_list.h"
 #include "core/view.h"
 #include "plane_parameter.h"
 #if defined(__CUDACC__)
@@ -22,7 +23,13 @@ struct Sharpness {
   Planes<T const> x;  // one plane per channel
   Planes<T> y;
   PlaneParameter<Compute<T>> factor;
+
+  KV_HD void select(int64_t b) {
+    if (factor.data) factor.data += b * factor.of_image;
+  }
 };
+template <class T>
+struct SharpnessList : FilterList<Sharpness<T>, T> {};
 template <class T>
 struct SharpnessBackward {
   Planes<T const> grad, x;
@@ -33,7 +40,16 @@ struct SharpnessBackward {
 };
 
 KV_KERNEL(sharpness, Sharpness)
+KV_KERNEL(sharpness_list, SharpnessList)
 KV_KERNEL(sharpness_backward, SharpnessBackward)
+
+// An image of interleaved pixels, given as one plane, with a plane for each channel.
+template <class T>
+KV_HD Sharpness<T> by_channels(Sharpness<T> one) {
+  one.x.inner = one.y.inner = one.x.step;
+  one.x.inner_stride = one.y.inner_stride = 1;
+  return one;
+}
 
 // How CUDA splits a plane into chunks: strips of columns, one per warp, where pixels of a row are contiguous; otherwise
 // tiles.

@@ -51,6 +51,15 @@ void sharpness(Sharpness<T> const& p, int64_t begin, int64_t end) {
   }
 }
 
+template <class T>
+void sharpness_list(SharpnessList<T> const& p, int64_t begin, int64_t end) {
+  filter_items(p, begin, end, [](Sharpness<T> const& sample, int64_t from, int64_t to) {
+    if (sample.x.step == 1) return sharpness(sample, from, to);
+    Sharpness<T> const one = by_channels(sample);
+    for (int64_t first = 0; first < one.x.rows(); first += one.x.height) sharpness(one, first + from, first + to);
+  });
+}
+
 // Traverses the rows and keeps the contributions of three: to their pixels, to the neighbors of these, and to the
 // factor.
 template <class T>
@@ -112,6 +121,7 @@ void sharpness_backward(SharpnessBackward<T> const& p, int64_t begin, int64_t en
 }
 
 KV_INSTANTIATE_WITH_BYTES(sharpness, Sharpness)
+KV_INSTANTIATE_WITH_BYTES(sharpness_list, SharpnessList)
 KV_INSTANTIATE(sharpness_backward, SharpnessBackward)
 
 }  // namespace kv::enhance::KV_ISA

@@ -38,6 +38,7 @@ PASSES = {
     ),
     "box": lambda: (A.RandomBoxBlur(p=0.7), A.RandomBoxBlur((3, 2), "circular", p=1.0), A.RandomHorizontalFlip()),
     "median": lambda: (A.RandomMedianBlur(p=0.7), A.RandomMedianBlur((5, 5)), A.RandomMedianBlur((2, 3), p=1.0)),
+    "sharpness": lambda: (A.RandomSharpness(p=0.7), A.RandomSharpness((0.5, 3.0), p=0.7)),
     "disks": lambda: (A.Defocus((1, 2), p=0.7), A.Defocus((1, 3), p=0.7)),
     "lenses": lambda: (
         A.OpticalDistortion(p=0.7),
@@ -66,7 +67,7 @@ NOISES = {
     ),
     "late": lambda: (A.RandomErasing(), A.RandomResizedCrop((12, 14)), A.RandomErasing(), A.SpeckleNoise(p=1.0)),
 }
-BLURS = ("gaussian", "box", "median", "disks")
+BLURS = ("gaussian", "box", "median", "disks", "sharpness")
 MAPS = ("lenses", "splines", "grids", "elastic")
 PASSES_AND_NOISES = {**PASSES, **NOISES}
 
@@ -292,8 +293,13 @@ def test_a_cuda_graph_draws_again_for_a_list():
         graph.replay()
         replays.append([y.clone() for y in results])
     assert not any(torch.equal(a, b) for a, b in zip(*replays))
+
+    class Own(A.IntensityAugmentationBase2D):
+        def apply_transform(self, input, params, flags, transform=None):
+            return input / 2
+
     with pytest.raises(RuntimeError, match="would repeat the draws"), torch.cuda.graph(torch.cuda.CUDAGraph()):
-        A.RandomSharpness()(images)
+        Own()(images)
 
 
 def test_what_is_wrong_with_a_list_is_said_by_every_path(device):

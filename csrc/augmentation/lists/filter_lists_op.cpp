@@ -1,6 +1,8 @@
 // Filters of lists of images of different sizes, whose results have the sizes of the images: schemas and entries, for
 // CPU and CUDA.
 #include "augmentation/noise_glue.h"
+#include "enhance/plane_views.h"
+#include "enhance/sharpness.h"
 #include "filters/filter2d.h"
 #include "filters/separable_glue.h"
 #include "filters/smoothing/box_glue.h"
@@ -34,6 +36,17 @@ void run([[maybe_unused]] Tensor const& like, MedianBlurList<T> const& p, [[mayb
 
 }  // namespace
 }  // namespace kv::filters
+
+namespace kv::enhance {
+namespace {
+
+template <class T>
+void run([[maybe_unused]] Tensor const& like, SharpnessList<T> const& p, [[maybe_unused]] int64_t cost) {
+  KV_RUN(sharpness_list, like, p, p.list.items, cost);
+}
+
+}  // namespace
+}  // namespace kv::enhance
 
 namespace kv::augmentation {
 namespace {
@@ -201,6 +214,20 @@ Tensors median_blur_list(Tensors const& images, OptionalTensor const& chosen, in
   return list.kept.results;
 }
 
+Tensors sharpness_list(Tensors const& images, OptionalTensor const& chosen, OptionalTensor const& factor,
+                       double number) {
+  constexpr char const* op = "sharpness_list";
+  ListedImages const list(op, images, chosen);
+  Tensor const& like = list.like();
+  enhance::check_planes(op, like);
+  dispatch_floating_and_uint8(op, like, [&]<class T>(Type<T>) {
+    enhance::Sharpness<T> all{};
+    all.factor = enhance::plane_parameter<Compute<T>>(op, "factor", like, factor, number);
+    list.filter<enhance::SharpnessList<T>>(all, 3, [&](auto const& p, int64_t cost) { enhance::run(like, p, cost); });
+  });
+  return list.kept.results;
+}
+
 }  // namespace
 
 // `chosen` (B,) float32: images whose value is 0 stay as they are. What follows are the arguments of the operators on
@@ -215,6 +242,7 @@ KV_OPERATOR(filter2d_backward_list,
             "(Tensor[] grads, Tensor? chosen, Tensor kernel, int border, bool same) -> Tensor[]")
 KV_OPERATOR(box_blur_list, "(Tensor[] images, Tensor? chosen, int ky, int kx, int border) -> Tensor[]")
 KV_OPERATOR(median_blur_list, "(Tensor[] images, Tensor? chosen, int ky, int kx, int border) -> Tensor[]")
+KV_OPERATOR(sharpness_list, "(Tensor[] images, Tensor? chosen, Tensor? factor, float number) -> Tensor[]")
 KV_OPERATOR(box_blur_backward_list, "(Tensor[] grads, Tensor? chosen, int ky, int kx, int border) -> Tensor[]")
 
 }  // namespace kv::augmentation

@@ -12,11 +12,12 @@ from torch import Tensor
 from kvision import _check, enhance, filters
 from kvision._choices import Border
 from kvision._clamp import clamp
+from kvision._dtype import compute_dtype
 from kvision._modes import BORDER
 from kvision.augmentation.engine import AugmentationBase, Execution, Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
 from kvision.augmentation.keys import refuse_mapped
-from kvision.augmentation.lists.filter_lists import box_blur, filter2d, gaussian_blur2d, median_blur
+from kvision.augmentation.lists.filter_lists import box_blur, filter2d, gaussian_blur2d, median_blur, sharpness
 from kvision.augmentation.random_generator.filters import (
     JPEGGenerator,
     MotionBlurGenerator,
@@ -325,6 +326,12 @@ class RandomSharpness(IntensityAugmentationBase2D, keeps_contract=True):
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
         return enhance.sharpness(input, params["sharpness"])
+
+    filters_chosen = True
+
+    def _operation(self, like: Tensor, params: Params) -> Operation:
+        factor = params["sharpness"].to(like.device, compute_dtype(like))[:, None, None]
+        return Operation(sharpness, (factor, 0.0))
 
 
 class RandomEqualize(IntensityAugmentationBase2D, keeps_contract=True):

@@ -32,7 +32,6 @@ BY_SIZE = {
         "ChromaticAberration",
         "GlassBlur",
         "RandomMotionBlur",
-        "RandomSharpness",
         "RingingOvershoot",
         "ZoomBlur",
     },

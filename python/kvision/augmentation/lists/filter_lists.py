@@ -8,6 +8,7 @@ from typing import Any
 from torch import Tensor
 
 from kvision._ops import Operator
+from kvision.enhance.sharpness import _sharpness as sharpness
 from kvision.filters.filter2d import _filter2d as filter2d
 from kvision.filters.filter2d import _filter2d_backward, _kernel_backward
 from kvision.filters.smoothing import box, gaussian, median
@@ -54,3 +55,9 @@ _register_filter(
     "filter2d_backward_list", _filter2d_backward, filter2d, lambda grad, x, *args: _of_kernel(x, grad, *args)
 )
 register_filter("median_blur_list", median_blur, lambda b, *window: window, _of_median)
+register_filter(
+    "sharpness_list",
+    sharpness,
+    lambda b, factor, number: (row(factor, b), number),
+    lambda needs, grad, x, *args: sharpness.backward((*needs, False), grad, x, *args)[:2],
+)

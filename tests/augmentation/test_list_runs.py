@@ -39,6 +39,8 @@ PASSES = {
     "box": lambda: (A.RandomBoxBlur(p=0.7), A.RandomBoxBlur((3, 2), "circular", p=1.0), A.RandomHorizontalFlip()),
     "median": lambda: (A.RandomMedianBlur(p=0.7), A.RandomMedianBlur((5, 5)), A.RandomMedianBlur((2, 3), p=1.0)),
     "sharpness": lambda: (A.RandomSharpness(p=0.7), A.RandomSharpness((0.5, 3.0), p=0.7)),
+    "zoom": lambda: (A.ZoomBlur(p=0.7), A.ZoomBlur((1.0, 1.5), (0.1, 0.2), p=0.7)),
+    "chromatic": lambda: (A.ChromaticAberration((-0.3, 0.3), (-0.3, 0.3), p=0.7), A.RandomHorizontalFlip()),
     "disks": lambda: (A.Defocus((1, 2), p=0.7), A.Defocus((1, 3), p=0.7)),
     "lenses": lambda: (
         A.OpticalDistortion(p=0.7),
@@ -67,7 +69,7 @@ NOISES = {
     ),
     "late": lambda: (A.RandomErasing(), A.RandomResizedCrop((12, 14)), A.RandomErasing(), A.SpeckleNoise(p=1.0)),
 }
-BLURS = ("gaussian", "box", "median", "disks", "sharpness")
+BLURS = ("gaussian", "box", "median", "disks", "sharpness", "zoom")
 MAPS = ("lenses", "splines", "grids", "elastic")
 PASSES_AND_NOISES = {**PASSES, **NOISES}
 
@@ -88,7 +90,9 @@ def same(a, b):
 @pytest.mark.parametrize("dtype", [torch.uint8, torch.float16, torch.float32, torch.float64], ids=str)
 @pytest.mark.parametrize("name", PASSES)
 def test_passes_over_a_list(name, dtype, channels, device):
-    if channels == 1 and any(isinstance(m, (A.ColorJitter, A.RandomGrayscale)) for m in PASSES[name]()):
+    if channels == 1 and any(
+        isinstance(m, (A.ColorJitter, A.RandomGrayscale, A.ChromaticAberration)) for m in PASSES[name]()
+    ):
         pytest.skip("colors have three channels")
     augment, images = A.ImageSequential(*PASSES[name]()), [x[:channels] for x in pictures(device, SMALL, dtype)]
     interleaved = [x.permute(1, 2, 0).contiguous().permute(2, 0, 1) for x in images]

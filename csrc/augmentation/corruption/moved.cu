@@ -16,11 +16,11 @@ __device__ __forceinline__ bool is_whole(F const* move) {
 
 // Offset: of elements of a sample.
 template <class T, int Channels, class Offset>
-__global__ void __launch_bounds__(32 * kMovedWarps) sum_moved(__grid_constant__ SumOfMoved<T> const p) {
+__device__ __forceinline__ void sum_tile(SumOfMoved<T> const& p, unsigned column, unsigned row_block, unsigned group) {
   using F = Compute<T>;
-  int64_t const groups = p.channels / Channels, b = blockIdx.z / groups, c = blockIdx.z % groups * Channels;
-  int const height = int(p.height), width = int(p.width), left = blockIdx.x * 32 + threadIdx.x,
-            top = (blockIdx.y * kMovedWarps + threadIdx.y) * kMovedRows;
+  int64_t const groups = p.channels / Channels, b = group / groups, c = group % groups * Channels;
+  int const height = int(p.height), width = int(p.width), left = column * 32 + threadIdx.x,
+            top = (row_block * kMovedWarps + threadIdx.y) * kMovedRows;
   if (top >= height || left >= width) return;
   T const* const x = p.x + b * p.x_strides[0] + c * p.x_strides[1];
   Offset const channel = Offset(p.x_strides[1]), row = Offset(p.x_strides[2]), pixel = Offset(p.x_strides[3]);
@@ -66,18 +66,57 @@ __global__ void __launch_bounds__(32 * kMovedWarps) sum_moved(__grid_constant__ 
         result[(top + i) * p.y_strides[2] + j * p.y_strides[1]] = round_to<T>(sum[i][j]);
 }
 
+template <class T, int Channels, class Offset>
+__global__ void __launch_bounds__(32 * kMovedWarps) sum_moved(__grid_constant__ SumOfMoved<T> const p) {
+  sum_tile<T, Channels, Offset>(p, blockIdx.x, blockIdx.y, blockIdx.z);
+}
+template <class T, int Channels, class Offset>
+__global__ void __launch_bounds__(32 * kMovedWarps) sum_moved_of_list(__grid_constant__ SumOfMovedList<T> const p) {
+  int const b = p.list.sample_of(int(blockIdx.x));
+  SumOfMoved<T> const one = p.sample(b);
+  unsigned const block = blockIdx.x - unsigned(p.list.first[b]), across = unsigned(ceil_div(int(one.width), 32)),
+                 down = unsigned(ceil_div(int(one.height), kMovedWarps * kMovedRows)), row = block / across,
+                 group = row / down;
+  sum_tile<T, Channels, Offset>(one, block - row * across, row - group * down, group);
+}
+
+// Whether elements of a sample are counted by ints.
+template <class T>
+bool fits_int(SumOfMoved<T> const& p) {
+  int64_t last = 0;
+  int64_t const sides[] = {p.channels, p.height, p.width};
+  for (int i = 0; i < 3; ++i) last += (sides[i] - 1) * p.x_strides[i + 1];
+  return last <= INT32_MAX;
+}
+
 template <class T, int Channels>
 int launch(SumOfMoved<T> const& p, CUstream_st* stream) {
   dim3 const blocks(unsigned(ceil_div(p.width, 32)), unsigned(ceil_div(p.height, kMovedWarps * kMovedRows)),
                     unsigned(p.batch * p.channels / Channels)),
       threads(32, kMovedWarps);
-  int64_t last = 0;  // element of a sample
-  int64_t const sides[] = {p.channels, p.height, p.width};
-  for (int i = 0; i < 3; ++i) last += (sides[i] - 1) * p.x_strides[i + 1];
-  if (last <= INT32_MAX)
+  if (fits_int(p))
     sum_moved<T, Channels, int><<<blocks, threads, 0, stream>>>(p);
   else
     sum_moved<T, Channels, int64_t><<<blocks, threads, 0, stream>>>(p);
+  return cudaGetLastError();
+}
+
+template <class T, int Channels>
+int launch_list(SumOfMovedList<T> p, CUstream_st* stream) {
+  int64_t blocks = 0;
+  bool are_ints = true;
+  for (int b = 0; b < p.list.count; ++b) {
+    SumOfMoved<T> const one = p.sample(b);
+    are_ints = are_ints && fits_int(one);
+    p.list.first[b] = int(blocks);
+    blocks += ceil_div(one.width, 32) * ceil_div(one.height, kMovedWarps * kMovedRows) * one.channels / Channels;
+    if (blocks > INT32_MAX) return cudaErrorInvalidConfiguration;
+  }
+  dim3 const threads(32, kMovedWarps);
+  if (are_ints)
+    sum_moved_of_list<T, Channels, int><<<unsigned(blocks), threads, 0, stream>>>(p);
+  else
+    sum_moved_of_list<T, Channels, int64_t><<<unsigned(blocks), threads, 0, stream>>>(p);
   return cudaGetLastError();
 }
 
@@ -88,6 +127,12 @@ int sum_of_moved(SumOfMoved<T> const& p, CUstream_st* stream) {
   return p.channels == 3 ? launch<T, 3>(p, stream) : launch<T, 1>(p, stream);
 }
 
+template <class T>
+int sum_of_moved_list(SumOfMovedList<T> const& p, CUstream_st* stream) {
+  return p.all.channels == 3 ? launch_list<T, 3>(p, stream) : launch_list<T, 1>(p, stream);
+}
+
 KV_INSTANTIATE_WITH_BYTES(sum_of_moved, SumOfMoved)
+KV_INSTANTIATE_WITH_BYTES(sum_of_moved_list, SumOfMovedList)
 
 }  // namespace kv::augmentation::cuda

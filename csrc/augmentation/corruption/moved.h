@@ -2,8 +2,8 @@
 // defines them.
 #pragma once
 
+#include "core/image_list.h"
 #include "core/isa.h"
-#include "core/view.h"
 
 namespace kv::augmentation {
 
@@ -17,7 +17,28 @@ struct SumOfMoved {
   int64_t num_moves, move_stride;
 };
 
+// Of lists: `all` is what the samples have in common.
+template <class T>
+struct SumOfMovedList {
+  SumOfMoved<T> all;
+  ListedSamples list;
+
+  KV_HD SumOfMoved<T> sample(int b) const {
+    SumOfMoved<T> one = all;
+    auto const x = images_of<T>(list.images[b], int(all.channels));
+    auto const y = images_of<T>(list.results[b], int(all.channels), list.interleaved);
+    one.x = x.data, one.y = y.data;
+    one.batch = 1, one.height = y.height, one.width = y.width;
+    int64_t const of_x[] = {0, x.channel_stride, x.row_stride, x.step},
+                  of_y[] = {0, y.channel_stride, y.row_stride, y.step};
+    for (int i = 0; i < 4; ++i) one.x_strides[i] = of_x[i], one.y_strides[i] = of_y[i];
+    one.moves += b * one.move_stride;
+    return one;
+  }
+};
+
 KV_KERNEL(sum_of_moved, SumOfMoved)
+KV_KERNEL(sum_of_moved_list, SumOfMovedList)
 
 // Pixels at a coordinate along an axis, which is clamped to the image: `first`, and `second` with weight `t`.
 template <class F>

@@ -1,6 +1,7 @@
 // Sums of moved copies on the CPU: rows [begin, end) of all planes. Compiled once per instruction set.
 #include "augmentation/corruption/moved.h"
 #include "core/lanes.h"
+#include "geometry/transform/lists/list_items.h"
 
 namespace kv::augmentation::KV_ISA {
 
@@ -38,6 +39,16 @@ void sum_of_moved(SumOfMoved<T> const& p, int64_t begin, int64_t end) {
   }
 }
 
+template <class T>
+void sum_of_moved_list(SumOfMovedList<T> const& p, int64_t begin, int64_t end) {
+  geometry::KV_ISA::for_each_sample(p.list, begin, end, [&](int b, int64_t first, int64_t last) {
+    SumOfMoved<T> const one = p.sample(b);
+    int64_t const rows = rows_of_item(one.width);
+    sum_of_moved(one, first * rows, min(last * rows, one.channels * one.height));
+  });
+}
+
 KV_INSTANTIATE_WITH_BYTES(sum_of_moved, SumOfMoved)
+KV_INSTANTIATE_WITH_BYTES(sum_of_moved_list, SumOfMovedList)
 
 }  // namespace kv::augmentation::KV_ISA

@@ -49,9 +49,9 @@ _elastic_displacements = register(
 )
 
 
-# Arguments of the operator on lists: the type and the device (B, 0); keys and seeds; (B,) float32 that is 0 for maps of 0, or None;
-# the plan; the window and its deviations; alpha of x and y, whether half the sides are those between the centers of pixels; height and
-# width of each image.
+# Arguments of the operator on lists: the type and the device (B, 0); keys; seeds; (B,) float32 that is 0 for maps of 0, or None;
+# the plan; the window and its deviations; alpha of x and y; whether half the sides are those between the centers of pixels; height
+# and width of each image.
 
 
 def _list_reference(

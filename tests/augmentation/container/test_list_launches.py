@@ -29,11 +29,9 @@ BY_SIZE = {
         "Transpose",
     },
     "a stencil or a map": {
-        "ChromaticAberration",
         "GlassBlur",
         "RandomMotionBlur",
         "RingingOvershoot",
-        "ZoomBlur",
     },
     "statistics or blocks of the whole image": {
         "CommonCorruption",

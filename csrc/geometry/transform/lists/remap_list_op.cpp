@@ -85,7 +85,7 @@ Tensors remap_list(Tensors const& images, Tensor const& maps, std::optional<Tens
                    int64_t padding, bool align_corners, bool by_channel) {
   MappedImages const all("remap_list", images, maps, fill, interpolation, padding, align_corners, by_channel);
   Layout const layout = all.maps_of_each > 1 ? Layout::planar : layout_of(all.like);
-  Tensors const readable = in_layout(images, layout),
+  Tensors const readable = in_layout(images, layout_of(all.like)),
                 results = empty_list(all.like, all.channels, all.sizes(), all.count, layout);
   dispatch_floating_and_uint8(all.op, all.like, [&]<class T>(Type<T>) {
     RemapList<T> p;

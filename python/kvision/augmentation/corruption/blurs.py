@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import torch
@@ -15,28 +16,33 @@ from kvision.augmentation import ranges
 from kvision.augmentation.corruption.disk import disk_kernels
 from kvision.augmentation.corruption.glass import Moves, glass
 from kvision.augmentation.corruption.moved import sum_of_moved
-from kvision.augmentation.engine import Params
+from kvision.augmentation.engine import Execution, Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
 from kvision.augmentation.lists import filter_lists
 from kvision.augmentation.random_generator.mapped import MappedGenerator
 from kvision.augmentation.ranges import Numbers
 from kvision.core.exceptions import ValueCheckError
 from kvision.filters.filter2d import filter2d, filter_arguments
+from kvision.geometry.transform.lists.arguments import like_batch
+from kvision.geometry.transform.lists.arguments import sizes as sides_of
 from kvision.geometry.transform.lists.kept_sizes import Operation
 
 
 def mean_of_enlargements(x: Tensor, largest: Tensor, step: Tensor, most: int) -> Tensor:
     """The mean of images, once more of themselves, and of enlargements by 1 + k step below `largest`, for k up to `most`."""
-    height, width = x.shape[-2:]
-    k = torch.arange(max(most, 1), device=x.device, dtype=step.dtype)
+    y: Tensor = sum_of_moved(x, enlargements(*x.shape[-2:], largest, step, most))
+    return y
+
+
+def enlargements(height: Any, width: Any, largest: Tensor, step: Tensor, most: int) -> Tensor:
+    """The moves (B, K, 4) of these, for a height and a width of all images or (B, 1)."""
+    k = torch.arange(max(most, 1), device=step.device, dtype=step.dtype)
     factors = 1 + k * step[:, None]
     counts = torch.where(k == 0, 2.0, (factors < largest[:, None]).to(step))
     shrink = 1 / factors
     moved = 1 - shrink
     weights = counts / counts.sum(1, keepdim=True)
-    moves = torch.stack([shrink, moved * ((width - 1) / 2), moved * ((height - 1) / 2), weights], 2)
-    y: Tensor = sum_of_moved(x, moves)
-    return y
+    return torch.stack([shrink, moved * ((width - 1) / 2), moved * ((height - 1) / 2), weights], 2)
 
 
 class Defocus(IntensityAugmentationBase2D, keeps_contract=True):
@@ -194,8 +200,23 @@ class ZoomBlur(IntensityAugmentationBase2D, keeps_contract=True):
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
-        largest, step = (params[name].to(input.device, compute_dtype(input)) for name in ("max_factor", "step_factor"))
-        return mean_of_enlargements(input, largest, step, self._most)
+        return mean_of_enlargements(input, *self._factors(input, params), self._most)
+
+    keeps_unchosen = True  # of which the largest factor is 1
+
+    def _factors(self, like: Tensor, params: Params) -> tuple[Tensor, Tensor]:
+        largest, step = (params[name].to(like.device, compute_dtype(like)) for name in ("max_factor", "step_factor"))
+        return largest, step
+
+    def _operates_on(self, dtype: torch.dtype) -> bool:
+        return not self._is_customized() and (dtype.is_floating_point or dtype == torch.uint8)
+
+    def _run_list(self, images: Sequence[Tensor], execution: Execution) -> list[Tensor]:
+        like = like_batch(images)
+        factors = self._factors(like, self._params_on_device(like, execution, for_users=False))
+        sides = torch.tensor(sides_of(images), device="cpu").view(-1, 2).to(factors[0], non_blocking=True)
+        moves = enlargements(sides[:, :1], sides[:, 1:], *factors, self._most)
+        return Operation(sum_of_moved, (moves,)).on_list(images)
 
 
 class GlassBlur(IntensityAugmentationBase2D, keeps_contract=True):

@@ -6,6 +6,8 @@ import torch
 from torch import Tensor
 
 from kvision._ops import register
+from kvision.geometry.transform.lists.arguments import row
+from kvision.geometry.transform.lists.kept_sizes import register_list
 
 
 def _reference(images: Tensor, moves: Tensor) -> Tensor:
@@ -42,3 +44,4 @@ def _read(images: Tensor, axis: int, scale: Tensor, shift: Tensor) -> Tensor:
 
 
 sum_of_moved = register("sum_of_moved", _reference, bytes=True)
+register_list("sum_of_moved_list", sum_of_moved, lambda b, moves: (row(moves, b),))

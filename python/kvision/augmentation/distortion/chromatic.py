@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Literal, TypeAlias, get_args
 
 import torch
@@ -11,13 +12,14 @@ from kvision import _check
 from kvision._dtype import compute_dtype
 from kvision.augmentation import maps
 from kvision.augmentation.distortion.displacement_map import MapFormula
-from kvision.augmentation.engine import Params
+from kvision.augmentation.engine import Execution, Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
 from kvision.augmentation.random_generator.mapped import MappedGenerator
 from kvision.augmentation.ranges import Numbers
 from kvision.augmentation.warp_and_color import Resampling
 from kvision.constants import AnyResample, Resample
 from kvision.core.exceptions import ShapeError
+from kvision.geometry.transform.lists.arguments import like_batch
 
 ChromaticMode: TypeAlias = Literal["green_purple", "red_blue", "random"]
 
@@ -46,6 +48,8 @@ class ChromaticAberration(IntensityAugmentationBase2D, keeps_contract=True):
         True
     """
 
+    replays_lists = True
+
     def __init__(
         self,
         primary_distortion_range: Numbers = (-0.02, 0.02),
@@ -73,19 +77,35 @@ class ChromaticAberration(IntensityAugmentationBase2D, keeps_contract=True):
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
-        if input.shape[1] != 3:
+        moved = self._formula(input, params).map(input.shape[-2:])
+        y = maps.read_displaced(input.reshape(-1, 1, *input.shape[-2:]), moved, self._resampling(flags))
+        return y.view(input.shape)
+
+    def _formula(self, like: Tensor, params: Params) -> MapFormula:
+        """The maps of the channels of images like a batch."""
+        if like.shape[1] != 3:
             raise ShapeError(
-                f"ChromaticAberration: expected images with 3 channels, got {tuple(input.shape)}"
-                f"{_check.channels_advice(input.shape)}"
+                f"ChromaticAberration: expected images with 3 channels, got {tuple(like.shape)}{_check.channels_advice(like.shape)}"
             )
-        like = input.new_empty(0, dtype=compute_dtype(input))
         names = ("primary_red", "secondary_red", "primary_blue", "secondary_blue")
-        red, more_red, blue, more_blue = (params[name].to(like) for name in names)
+        red, more_red, blue, more_blue = (params[name].to(like.device, compute_dtype(like)) for name in names)
         if self.mode != "random":
             blue = blue.abs().copysign(red if self.mode == "green_purple" else -red)
         still = torch.zeros_like(red)  # green
         first = torch.stack([red, still, blue], 1).flatten()
         second = torch.stack([more_red, still, more_blue], 1).flatten().abs().copysign(first)
-        moved = MapFormula("camera", torch.stack([first, second], 1)).map(input.shape[-2:])
-        resampling = Resampling(Resample.get(flags["resample"]).name.lower(), "border", True)
-        return maps.read_displaced(input.reshape(-1, 1, *input.shape[-2:]), moved, resampling).view(input.shape)
+        return MapFormula("camera", torch.stack([first, second], 1))
+
+    @staticmethod
+    def _resampling(flags: dict[str, Any]) -> Resampling:
+        return Resampling(Resample.get(flags["resample"]).name.lower(), "border", True)
+
+    def _operates_on(self, dtype: torch.dtype) -> bool:
+        return not self._is_customized() and (dtype.is_floating_point or dtype == torch.uint8)
+
+    def _run_list(self, images: Sequence[Tensor], execution: Execution) -> list[Tensor]:
+        like, chosen = like_batch(images), execution.chosen
+        formula = self._formula(like, self._params_on_device(like, execution, for_users=False))
+        sides = [n for x in images for _ in range(3) for n in x.shape[-2:]]
+        moved = formula.maps(sides, None if chosen is None else chosen.float().repeat_interleave(3))
+        return maps.read_displaced_list(images, moved, self._resampling(self.flags), by_channel=True)

@@ -31,7 +31,7 @@ def alone(images, moved, fill, by_channel, *options):
         maps = torch.stack(moved[each * b : each * (b + 1)])
         own = fill if fill is None or len(fill) == 1 else fill[b : b + 1]
         own = own if own is None or not by_channel else own.expand(1, each).mT.contiguous()
-        image = x.contiguous()[:, None] if by_channel else x[None]
+        image = x[:, None] if by_channel else x[None]
         y = sampling.remap(image, maps[:, 0], maps[:, 1], own, None, *options, False, True)
         results.append(y[:, 0] if by_channel else y[0])
     return results

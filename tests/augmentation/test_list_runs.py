@@ -61,6 +61,7 @@ NOISES = {
     "dropped": lambda: (A.PixelDropout(0.2, p=0.7), A.PixelDropout(0.2, True, "random", p=0.7)),
     "photons": lambda: (A.ShotNoise(p=0.7), A.RandomHorizontalFlip()),
     "sensor": lambda: (A.ISONoise(p=0.7),),
+    "glass": lambda: (A.GlassBlur(p=0.7), A.RandomHorizontalFlip(), A.GlassBlur(0.3, 2, 1, p=0.7)),
     "grids": lambda: (A.GridDistortion(p=0.7), A.PiecewiseAffine(nb_rows_range=(3, 5), p=0.7)),
     "elastic": lambda: (
         A.RandomElasticTransform((9, 7), (2.0, 3.0), (2.0, 3.0), p=0.7),

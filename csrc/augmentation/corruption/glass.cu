@@ -9,11 +9,10 @@ constexpr int kNeighborThreads = 256;
 
 // Four pixels a thread, whose first step has the words of one block.
 template <class T>
-__global__ void __launch_bounds__(kNeighborThreads) read_moved(__grid_constant__ ReadNeighbors<T> const p) {
+__device__ __forceinline__ void read_pixels(ReadNeighbors<T> const& p, unsigned block, int64_t b) {
   int const width = int(p.width), pixels = int(p.height) * width,
-            first = (blockIdx.x * kNeighborThreads + threadIdx.x) * 4;
+            first = int(block * kNeighborThreads + threadIdx.x) * 4;
   if (first >= pixels) return;
-  int64_t const b = blockIdx.y;
   DrawSource const source = p.noise.source(b);
   bool const is_drawn = !p.noise.uniform && p.steps > 0;
   PhiloxWords words{};
@@ -34,6 +33,16 @@ __global__ void __launch_bounds__(kNeighborThreads) read_moved(__grid_constant__
   }
 }
 
+template <class T>
+__global__ void __launch_bounds__(kNeighborThreads) read_moved(__grid_constant__ ReadNeighbors<T> const p) {
+  read_pixels(p, blockIdx.x, blockIdx.y);
+}
+template <class T>
+__global__ void __launch_bounds__(kNeighborThreads) read_moved_of_list(__grid_constant__ ReadNeighborsList<T> const p) {
+  int const b = p.list.sample_of(int(blockIdx.x));
+  read_pixels(p.sample(b), blockIdx.x - unsigned(p.list.first[b]), 0);
+}
+
 }  // namespace
 
 template <class T>
@@ -43,6 +52,20 @@ int read_neighbors(ReadNeighbors<T> const& p, CUstream_st* stream) {
   return cudaGetLastError();
 }
 
+template <class T>
+int read_neighbors_list(ReadNeighborsList<T> const& given, CUstream_st* stream) {
+  ReadNeighborsList<T> p = given;
+  int64_t blocks = 0;
+  for (int b = 0; b < p.list.count; ++b) {
+    p.list.first[b] = int(blocks);
+    blocks += ceil_div(int64_t(p.list.results[b].height) * p.list.results[b].width, 4 * kNeighborThreads);
+  }
+  if (blocks > INT32_MAX) return cudaErrorInvalidConfiguration;
+  read_moved_of_list<T><<<unsigned(blocks), kNeighborThreads, 0, stream>>>(p);
+  return cudaGetLastError();
+}
+
 KV_INSTANTIATE_WITH_BYTES(read_neighbors, ReadNeighbors)
+KV_INSTANTIATE_WITH_BYTES(read_neighbors_list, ReadNeighborsList)
 
 }  // namespace kv::augmentation::cuda

@@ -1,9 +1,20 @@
 // Pixels that read neighbors: schema and entry, for CPU and CUDA.
 #include "augmentation/corruption/glass.h"
 #include "augmentation/noise_glue.h"
+#include "geometry/transform/lists/list_glue.h"
 
 namespace kv::augmentation {
 namespace {
+
+// Of images, of which a list has the largest.
+void check_moves(NoiseSource const& source, int64_t max_delta, int64_t steps) {
+  source.check();
+  KV_CHECK(max_delta >= 1 && max_delta <= ReadNeighbors<float>::kMaxDelta && steps >= 0 && steps <= 65535, source.op,
+           ": max_delta or steps out of range");
+  int64_t const pixels = source.images.size(2) * source.images.size(3);
+  KV_CHECK(pixels <= INT32_MAX / 2 && steps * ((pixels + 3) / 4) <= UINT32_MAX, source.op,
+           ": expected at most 2^30 pixels, and 2^34 moves");
+}
 
 // Images; uniform (B, 2 steps, H, W) float32 in place of drawn numbers; the others as those of gaussian_noise.
 Tensor read_neighbors(Tensor const& images, Tensor const& keys, std::optional<Tensor> const& seeds,
@@ -13,11 +24,7 @@ Tensor read_neighbors(Tensor const& images, Tensor const& keys, std::optional<Te
   check_images(op, "images", images);
   int64_t const batch = images.size(0), height = images.size(2), width = images.size(3);
   NoiseSource const source{op, images, keys, seeds, plan};
-  source.check();
-  KV_CHECK(max_delta >= 1 && max_delta <= ReadNeighbors<float>::kMaxDelta && steps >= 0 && steps <= 65535, op,
-           ": max_delta or steps out of range");
-  KV_CHECK(height * width <= INT32_MAX / 2 && steps * ((height * width + 3) / 4) <= UINT32_MAX, op,
-           ": expected at most 2^30 pixels, and 2^34 moves");
+  check_moves(source, max_delta, steps);
   if (uniform)
     KV_CHECK(uniform->dim() == 4 && uniform->size(0) == batch && uniform->size(1) == 2 * steps &&
                  uniform->size(2) == height && uniform->size(3) == width &&
@@ -39,10 +46,40 @@ Tensor read_neighbors(Tensor const& images, Tensor const& keys, std::optional<Te
   return y;
 }
 
+// Of images (C, H, W) of different sizes; those that are not `chosen`, (B,) float32, are copied.
+Tensors read_neighbors_list(Tensors const& images, std::optional<Tensor> const& chosen, Tensor const& keys,
+                            std::optional<Tensor> const& seeds, std::optional<Tensor> const& uniform,
+                            std::vector<int64_t> const& plan, int64_t max_delta, int64_t steps) {
+  constexpr char const* op = "read_neighbors_list";
+  geometry::KeptSizes const kept(op, images);
+  check_chosen(op, chosen, kept.largest);
+  NoiseSource const source{op, kept.largest, keys, seeds, plan};
+  check_moves(source, max_delta, steps);
+  KV_CHECK(!uniform, op, ": the numbers of lists are drawn");
+  int64_t const channels = kept.largest.size(1);
+  dispatch_floating_and_uint8(op, kept.largest, [&]<class T>(Type<T>) {
+    ReadNeighborsList<T> p;
+    ReadNeighbors<T> all{};
+    source.set(all.noise);
+    set_chosen(all.noise, chosen);
+    all.channels = channels, all.max_delta = int(max_delta), all.steps = int(steps);
+    auto const items_of = [](geometry::Size size) { return ceil_div(size.height, rows_of_item(size.width)); };
+    kept.for_each_table(p.list, images, items_of, [&](size_t first) {
+      p.all = all;
+      p.all.noise.skip(int64_t(first));
+      KV_RUN(read_neighbors_list, kept.largest, p, p.list.items, kItemPixels * (16 * steps + 1));
+    });
+  });
+  return kept.results;
+}
+
 }  // namespace
 
 KV_OPERATOR(read_neighbors,
             "(Tensor images, Tensor keys, Tensor? seeds, Tensor? uniform, int[] plan, int max_delta, int steps) "
             "-> Tensor")
+KV_OPERATOR(read_neighbors_list,
+            "(Tensor[] images, Tensor? chosen, Tensor keys, Tensor? seeds, Tensor? uniform, int[] plan, int max_delta, "
+            "int steps) -> Tensor[]")
 
 }  // namespace kv::augmentation

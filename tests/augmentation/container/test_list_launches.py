@@ -29,7 +29,6 @@ BY_SIZE = {
         "Transpose",
     },
     "a stencil or a map": {
-        "GlassBlur",
         "RandomMotionBlur",
         "RingingOvershoot",
     },

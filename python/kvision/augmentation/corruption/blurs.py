@@ -14,7 +14,7 @@ from kvision._clamp import clamp
 from kvision._dtype import compute_dtype
 from kvision.augmentation import ranges
 from kvision.augmentation.corruption.disk import disk_kernels
-from kvision.augmentation.corruption.glass import Moves, glass
+from kvision.augmentation.corruption.glass import MAX_DELTA, Moves, glass, glass_operations
 from kvision.augmentation.corruption.moved import sum_of_moved
 from kvision.augmentation.engine import Execution, Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
@@ -23,14 +23,15 @@ from kvision.augmentation.random_generator.mapped import MappedGenerator
 from kvision.augmentation.ranges import Numbers
 from kvision.core.exceptions import ValueCheckError
 from kvision.filters.filter2d import filter2d, filter_arguments
-from kvision.geometry.transform.lists.arguments import like_batch
+from kvision.geometry.transform.lists.arguments import like_batch, smallest_batch
 from kvision.geometry.transform.lists.arguments import sizes as sides_of
 from kvision.geometry.transform.lists.kept_sizes import Operation
 
 
 def mean_of_enlargements(x: Tensor, largest: Tensor, step: Tensor, most: int) -> Tensor:
     """The mean of images, once more of themselves, and of enlargements by 1 + k step below `largest`, for k up to `most`."""
-    y: Tensor = sum_of_moved(x, enlargements(*x.shape[-2:], largest, step, most))
+    height, width = x.shape[-2:]
+    y: Tensor = sum_of_moved(x, enlargements(height, width, largest, step, most))
     return y
 
 
@@ -263,3 +264,14 @@ class GlassBlur(IntensityAugmentationBase2D, keeps_contract=True):
     ) -> Tensor:
         noise = params["_noise"][1] if "_noise" in params else params["offsets"]
         return glass(input, noise, self.sigma, self.max_delta, self.iterations)
+
+    def _operates_on(self, dtype: torch.dtype) -> bool:
+        is_drawn = dtype in (torch.uint8, torch.float16, torch.bfloat16, torch.float32)
+        return is_drawn and self.max_delta <= MAX_DELTA and not self._is_customized()
+
+    def _run_list(self, images: Sequence[Tensor], execution: Execution) -> list[Tensor]:
+        like = smallest_batch(images)
+        _, noise = self._params_on_device(like, execution, for_users=False)["_noise"]
+        chosen = None if noise.chosen is None else noise.chosen.float()
+        blur, read = glass_operations(like, noise, self.sigma, self.max_delta, self.iterations)
+        return blur.on_list(read.on_list(blur.on_list(images, chosen), chosen), chosen)

@@ -15,7 +15,10 @@ from kvision.augmentation.keys import flatten_draws
 from kvision.augmentation.noise import NO_KEY, PixelNoise, words_of_pixels
 from kvision.augmentation.random_generator.base import Shape
 from kvision.augmentation.samples import where_chosen
-from kvision.filters.smoothing.gaussian import gaussian_blur2d
+from kvision.augmentation.lists import filter_lists
+from kvision.filters.smoothing.gaussian import blur_arguments, gaussian_blur2d
+from kvision.geometry.transform.lists.arguments import row
+from kvision.geometry.transform.lists.kept_sizes import Operation, register_filter
 
 MAX_DELTA = 2**15  # of kernels
 
@@ -79,6 +82,16 @@ read_neighbors: Operator = register(
 )
 
 
+def _of_sample(
+    b: int, keys: Tensor, seeds: Tensor | None, uniform: Tensor | None, plan: Sequence[int], *moves: int
+) -> tuple[Any, ...]:
+    form, first = [*plan, 0, 0][4:6]
+    return keys, row(seeds, b), row(uniform, b), [*plan[:4], form, first + b], *moves
+
+
+register_filter("read_neighbors_list", read_neighbors, _of_sample, _backward)
+
+
 class Moves(NamedTuple):
     """A map like :class:`NoiseMap` of the numbers that move pixels, so many times."""
 
@@ -110,3 +123,15 @@ def glass(
 def reach_of(sigma: float) -> int:
     """Taps of a Gaussian to each side, up to four standard deviations."""
     return int(4 * sigma + 0.5)
+
+
+def glass_operations(
+    like: Tensor, noise: PixelNoise, sigma: float, max_delta: int, steps: int
+) -> tuple[Operation, Operation]:
+    """The blur of images of a list, of which `like` is as small as any, before and after pixels read neighbors, and that."""
+    size, sigmas = (2 * reach_of(sigma) + 1,) * 2, (sigma, sigma)
+    keys, seeds, _, plan = noise.arguments()
+    return (
+        Operation(filter_lists.gaussian_blur2d, blur_arguments("GlassBlur", like, size, sigmas, "reflect")[1:]),
+        Operation(read_neighbors, (keys, seeds, None, plan, max_delta, steps)),
+    )

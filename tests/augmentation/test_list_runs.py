@@ -79,8 +79,10 @@ def is_by_passes(augment):
     return type(augment._record.parts) is list_runs.ListParts
 
 
-def same(a, b):
+def same(a, b, is_map=False):
     """The same bits; torch's convolutions, by which the reference blurs, have others for each size of a batch."""
+    if is_map and a.dtype == torch.float64 and a.is_cuda:  # kernels of lists may round other products of doubles
+        return a.shape == b.shape and torch.allclose(a, b, rtol=0, atol=1e-12)
     if current_backend() != "reference":
         return torch.equal(a, b)
     steps = {torch.uint8: 1, torch.float16: 1e-3}.get(a.dtype, 1e-5)
@@ -103,13 +105,13 @@ def test_passes_over_a_list(name, dtype, channels, device):
         results = augment(given, seed=seeds)
         assert is_by_passes(augment)
         for b, x in enumerate(given):
-            assert same(results[b], augment(x[None], seed=seeds[b : b + 1])[0])
+            assert same(results[b], augment(x[None], seed=seeds[b : b + 1])[0], name in MAPS)
     equal = [x[:, :15, :16].contiguous() for x in images]
     for options in ({"seed": 3}, {}):
         torch.manual_seed(0)
         results = augment(equal, **options)
         torch.manual_seed(0)
-        assert all(same(a, b) for a, b in zip(results, augment(torch.stack(equal), **options)))
+        assert all(same(a, b, name in MAPS) for a, b in zip(results, augment(torch.stack(equal), **options)))
 
 
 @pytest.mark.parametrize("dtype", [torch.uint8, torch.float16, torch.float32], ids=str)

@@ -51,6 +51,16 @@ struct Displacement {
   F x, y;
 };
 
+// x^2 + y^2, rounded alike by all kernels.
+template <class F>
+KV_HD F sum_of_squares(F x, F y) {
+#if defined(__CUDACC__)
+  return ::fma(x, x, y * y);
+#else
+  return x * x + y * y;
+#endif
+}
+
 // A lens by Brown and Conrady with the coefficients k1 and k2, whose focal lengths are width and height; or, with one
 // coefficient, by Kannala and Brandt, whose corners are at an angle of 1 radian.
 template <class F, bool IsFisheye>
@@ -65,7 +75,7 @@ struct LensMap {
   }
   KV_HD Displacement<F> at(int column, int row) const {
     F const x = F(column) - center_x, y = F(row) - center_y, u = x * per_pixel_x, v = y * per_pixel_y;
-    F const square = u * u + v * v, more = square * (k1 + square * k2);
+    F const square = sum_of_squares(u, v), more = square * (k1 + square * k2);
     return {x * more, y * more};
   }
 };
@@ -102,7 +112,7 @@ struct SwirlMap {
   }
   KV_HD Displacement<F> at(int column, int row) const {
     F const x = F(column) - center_x, y = F(row) - center_y;
-    F const angle = strength * power_of_two(decay * sqrt(x * x + y * y));
+    F const angle = strength * power_of_two(decay * sqrt(sum_of_squares(x, y)));
     F sine, cosine;
     sine_and_cosine(angle, sine, cosine);
     return {x * (cosine - 1) - y * sine, x * sine + y * (cosine - 1)};
@@ -192,7 +202,8 @@ struct FisheyeMap {
   KV_HD Displacement<F> at(int column, int row) const {
     F const along_x = F(column) - half_x, along_y = F(row) - half_y;
     F const x = (half_x > 0 ? along_x / half_x : -1) - center_x, y = (half_y > 0 ? along_y / half_y : -1) - center_y;
-    F const distance = sqrt(x * x + y * y), farther = power(gamma < 0 ? max(distance, kNearest) : distance, gamma);
+    F const distance = sqrt(sum_of_squares(x, y)),
+            farther = power(gamma < 0 ? max(distance, kNearest) : distance, gamma);
     return {along_x * farther, along_y * farther};
   }
 };
@@ -215,7 +226,7 @@ struct ThinPlateMap {
     F const x = half_x > 0 ? (F(column) - middle_x) / half_x : 0, y = half_y > 0 ? (F(row) - middle_y) / half_y : 0;
     F to_x = affine[0] + x * affine[2] + y * affine[4], to_y = affine[1] + x * affine[3] + y * affine[5];
     for (int i = 0; i < count; ++i) {
-      F const dx = x - centers[2 * i], dy = y - centers[2 * i + 1], square = dx * dx + dy * dy;
+      F const dx = x - centers[2 * i], dy = y - centers[2 * i + 1], square = sum_of_squares(dx, dy);
       F const value = geometry::radial_basis<F>(square, binary_logarithm(square));
       to_x += weights[2 * i] * value, to_y += weights[2 * i + 1] * value;
     }

@@ -12,10 +12,10 @@ from kvision._choices import Border
 from kvision._dtype import compute_dtype
 from kvision._ops import Operator, match_layout, register
 from kvision.augmentation.keys import flatten_draws
+from kvision.augmentation.lists import filter_lists
 from kvision.augmentation.noise import NO_KEY, PixelNoise, words_of_pixels
 from kvision.augmentation.random_generator.base import Shape
 from kvision.augmentation.samples import where_chosen
-from kvision.augmentation.lists import filter_lists
 from kvision.filters.smoothing.gaussian import blur_arguments, gaussian_blur2d
 from kvision.geometry.transform.lists.arguments import row
 from kvision.geometry.transform.lists.kept_sizes import Operation, register_filter

@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch._subclasses.fake_tensor import FakeTensorMode
 
-from augmentation.test_lists import SMALL, pictures, seeds_of
+from augmentation.test_lists import SMALL, Halved, pictures, seeds_of
 from benchmarks.timing import launches
 from kvision import augmentation as A
 from kvision._backend import current_backend
@@ -300,13 +300,8 @@ def test_a_cuda_graph_draws_again_for_a_list():
         graph.replay()
         replays.append([y.clone() for y in results])
     assert not any(torch.equal(a, b) for a, b in zip(*replays))
-
-    class Own(A.IntensityAugmentationBase2D):
-        def apply_transform(self, input, params, flags, transform=None):
-            return input / 2
-
     with pytest.raises(RuntimeError, match="would repeat the draws"), torch.cuda.graph(torch.cuda.CUDAGraph()):
-        Own()(images)
+        Halved()(images)
 
 
 def test_what_is_wrong_with_a_list_is_said_by_every_path(device):

@@ -273,7 +273,7 @@ def test_masks_of_images_stay_whatever_boxes_an_image_has(in_launches, sizes, de
     classes = [torch.ones(1, *size, dtype=torch.uint8, device=device) for size in sizes]
     far = torch.tensor([[900.0, 900.0, 910.0, 910.0]], device=device)
     near = torch.tensor([[2.0, 2.0, 9.0, 9.0]], device=device)
-    first = A.RandomHorizontalFlip() if in_launches else A.RandomSharpness(0.5)
+    first = A.RandomHorizontalFlip() if in_launches else Halved()
     inner = A.AugmentationSequential(first, min_box_area=1.0)
     augment = A.AugmentationSequential(inner, A.RandomCrop((9, 9)), data_keys=KEYS[:3], min_box_area=100.0)
     boxes = [torch.cat([near, far]), near, far, near]

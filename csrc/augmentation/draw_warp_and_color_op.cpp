@@ -143,7 +143,7 @@ Tensors draw_warp_and_color_to_list(Tensors const& list, Tensor const& keys, std
   auto const pass_plan = rest.plan();
   auto const pass_numbers = rest.numbers();
   auto [results, matrix, means] =
-      run_pass_to_list(images, columns, {}, drawn_matrix, warps, {pass_plan.begin(), pass_plan.end()},
+      run_pass_to_list(images, columns, {}, drawn_matrix, warps, {}, {pass_plan.begin(), pass_plan.end()},
                        {pass_numbers.begin(), pass_numbers.end()});
   results.push_back(matrix ? *matrix : columns);
   results.push_back(columns);

@@ -52,13 +52,14 @@ PassResults run_pass(PassImages const& images, std::optional<Tensor> const& colu
                      std::optional<Tensor> const& matrices, std::vector<int64_t> const& size,
                      std::vector<int64_t> const& plan, std::vector<double> const& numbers);
 
-// A list of results, of which each has the size of its image.
+// A list of results, of which each has a size of its own: that of its image if `sizes` has none for it.
 struct ListResults {
   Tensors images;
   std::optional<Tensor> matrix, means;
 };
 ListResults run_pass_to_list(PassImages const& images, std::optional<Tensor> const& columns,
                              std::optional<Tensor> const& fill, std::optional<Tensor> const& matrices, bool warps,
-                             std::vector<int64_t> const& plan, std::vector<double> const& numbers);
+                             std::vector<int64_t> const& sizes, std::vector<int64_t> const& plan,
+                             std::vector<double> const& numbers);
 
 }  // namespace kv::augmentation

@@ -291,13 +291,17 @@ PassResults run_pass(PassImages const& images, OptionalTensor const& columns, Op
 }
 
 ListResults run_pass_to_list(PassImages const& images, OptionalTensor const& columns, OptionalTensor const& fill,
-                             OptionalTensor const& matrices, bool warps, std::vector<int64_t> const& plan,
-                             Numbers const& numbers) {
+                             OptionalTensor const& matrices, bool warps, std::vector<int64_t> const& of_each,
+                             std::vector<int64_t> const& plan, Numbers const& numbers) {
   constexpr char const* op = "warp_and_color_to_list";
   Tensors const& list = *images.list;
   Tensor const& like = images.like;
-  std::vector<int64_t> sides;
-  for (Tensor const& x : list) sides.insert(sides.end(), {x.size(1), x.size(2)});
+  std::vector<int64_t> sides = of_each;
+  if (of_each.empty())
+    for (Tensor const& x : list) sides.insert(sides.end(), {x.size(1), x.size(2)});
+  KV_CHECK(sides.size() == 2 * list.size() && (warps || of_each.empty()), op,
+           ": expected the sizes of the results of a warp, got ", of_each.size(), " numbers for ", list.size(),
+           " images");
   std::vector<int64_t> const size(sides.begin(),
                                   sides.begin() + (warps ? 2 : 0));  // is checked, and that of each taken
   WarpAndColorArguments const a(op, like, columns, fill, matrices, size, plan, numbers);
@@ -369,9 +373,10 @@ std::tuple<Tensor, Tensor> warp_and_color_pieces(Tensor const& image, Tensor con
 }
 
 Tensors warp_and_color_to_list(Tensors const& images, OptionalTensor const& columns, OptionalTensor const& fill,
-                               bool warps, std::vector<int64_t> const& plan, Numbers const& numbers) {
+                               bool warps, std::vector<int64_t> const& sizes, std::vector<int64_t> const& plan,
+                               Numbers const& numbers) {
   PassImages const list("warp_and_color_to_list", images);
-  auto [results, matrix, means] = run_pass_to_list(list, columns, fill, {}, warps, plan, numbers);
+  auto [results, matrix, means] = run_pass_to_list(list, columns, fill, {}, warps, sizes, plan, numbers);
   results.push_back(matrix_or_none(list.like, matrix));
   results.push_back(means_or_none(list.like, means));
   return results;
@@ -445,10 +450,12 @@ KV_OPERATOR(warp_and_color_list,
 KV_OPERATOR(warp_and_color_pieces,
             "(Tensor image, Tensor pieces, Tensor? columns, Tensor? fill, SymInt[] size, int[] plan, float[] numbers) "
             "-> (Tensor, Tensor)")
-// The same of images of different sizes, which they keep; `warps` says whether there is a warp. Behind the results are
-// the matrices and the means.
+// The same of images of different sizes, whose results are a list. `warps` says whether there is a warp, and `sizes`
+// has height and width of each result of it; without these images keep theirs. Behind the results are the matrices and
+// the means.
 KV_OPERATOR(warp_and_color_to_list,
-            "(Tensor[] images, Tensor? columns, Tensor? fill, bool warps, int[] plan, float[] numbers) -> Tensor[]")
+            "(Tensor[] images, Tensor? columns, Tensor? fill, bool warps, SymInt[] sizes, int[] plan, float[] numbers) "
+            "-> Tensor[]")
 KV_OPERATOR(warp_and_color_backward,
             "(Tensor grad, Tensor image, Tensor? columns, Tensor? fill, Tensor matrix, Tensor means, SymInt[] size, "
             "int[] plan, float[] numbers, bool of_image, bool of_columns) -> (Tensor, Tensor, Tensor)")

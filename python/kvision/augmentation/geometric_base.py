@@ -175,9 +175,11 @@ class GeometricAugmentationBase2D(GeometricAugmentation, RigidAffineAugmentation
         return columns.drawn, self._bound(chain, columns.span)
 
     def _find_matrix(self, execution: Execution) -> Tensor:
-        if not execution.applied or execution.columns is None:
+        columns, shape = execution.columns, execution.shape
+        if not execution.applied or (columns is None and not self._executes_columns(shape)):
             return super()._find_matrix(execution)
-        return self._matrix_of(execution.columns.drawn, execution, self.flags)
+        like = super()._find_matrix(execution) if columns is None else columns.drawn
+        return self._matrix_of(like, execution, self.flags)
 
     def compute_transformation(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
         chain = self.matrix_transforms(tuple(input.shape), flags)

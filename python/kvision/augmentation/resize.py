@@ -12,13 +12,14 @@ from kvision import _check, geometry
 from kvision._choices import ResizeSide
 from kvision._dtype import compute_dtype
 from kvision.augmentation import ranges
+from kvision.augmentation.columns import Column
 from kvision.augmentation.crops.crop import PadMode, four_sides, padding_resampling
 from kvision.augmentation.draws import Draw
 from kvision.augmentation.engine import Execution, Params, Shape, check_images
 from kvision.augmentation.geometric_base import GeometricAugmentationBase2D
 from kvision.augmentation.inputs import parse_size
 from kvision.augmentation.keys import refuse_capture, refuse_graphs, refuse_mapped
-from kvision.augmentation.maps import warp, warp_labels
+from kvision.augmentation.maps import warp, warp_each, warp_labels
 from kvision.augmentation.random_generator.base import RandomGeneratorBase
 from kvision.augmentation.random_generator.crop import ResizeGenerator
 from kvision.augmentation.random_generator.plain import PlainUniformGenerator
@@ -28,6 +29,8 @@ from kvision.augmentation.warp_and_color import Resampling
 from kvision.color.frames import Frames
 from kvision.constants import AnyResample, Resample
 from kvision.core.exceptions import ValueCheckError
+from kvision.geometry.transform.lists.arguments import like_batch
+from kvision.geometry.transform.resize import resize_each
 
 __all__ = ["LongestMaxSize", "Pad", "PadIfNeeded", "PadTo", "RandomScale", "Resize", "SmallestMaxSize"]
 
@@ -57,7 +60,7 @@ class Resize(GeometricAugmentationBase2D):
         tensor([[[[1.0000, 1.5000, 2.0000]]]])
     """
 
-    whole_batch = True
+    whole_batch = replays_lists = True
 
     def __init__(
         self,
@@ -114,11 +117,20 @@ class Resize(GeometricAugmentationBase2D):
     def _warp_list(self, images: list[Tensor], matrix: Tensor, size: Sequence[int], flags: dict[str, Any]) -> Tensor:
         if not flags["antialias"]:
             return super()._warp_list(images, matrix, size, flags)
-        mode: Any = Resample.get(flags["resample"]).name.lower()
-        resized: Tensor = geometry.resize(
-            images, (size[0], size[1]), mode, align_corners=flags["align_corners"], antialias=True
-        )
-        return resized
+        return _antialiased_list(images, list(size), flags, is_list=False)
+
+    def _operates_on(self, dtype: torch.dtype) -> bool:
+        return bool(self.flags["antialias"]) and not self._is_customized()
+
+    def _run_list(self, images: Sequence[Tensor], execution: Execution) -> list[Tensor]:
+        sizes = [n for x in images for n in self.output_size((1, *x.shape), self.flags)]
+        return _antialiased_list(images, sizes, self.flags, is_list=True)
+
+
+def _antialiased_list(images: Sequence[Tensor], sizes: list[int], flags: dict[str, Any], is_list: bool) -> Any:
+    """Images (C, H, W) resized with antialiasing to one size, or each to one of `sizes`."""
+    mode: Any = Resample.get(flags["resample"]).name.lower()
+    return resize_each(list(images), sizes, mode, bool(flags["align_corners"]), True, is_list)
 
 
 class LongestMaxSize(Resize):
@@ -202,7 +214,7 @@ class RandomScale(GeometricAugmentationBase2D):
         torch.Size([2, 3, 4, 5])
     """
 
-    whole_batch = True
+    whole_batch = replays_lists = True
     has_known_size = False
 
     def __init__(
@@ -240,15 +252,36 @@ class RandomScale(GeometricAugmentationBase2D):
         refuse_capture("RandomScale")
         scale = self._read_params(execution)["scale"]
         refuse_mapped("RandomScale", scale)
-        factor = float(scale[0])
-        return max(round(height * factor), 1), max(round(width * factor), 1)
+        return _scaled(height, width, float(scale[0]))
 
     def _matrix_of(self, x: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
-        (h, w), (height, width) = self._size_of(execution, flags), execution.shape[-2:]
-        corners = float(flags["align_corners"] is not False)
-        chain = [Transform("crop", 0.0, 0.0, float(width), float(height), float(w), float(h), corners)]
         dtype = compute_dtype(x) if execution.identity is None else execution.identity[1]
-        return transform_matrix(torch.empty(execution.shape[0], 0, dtype=dtype, device=x.device), chain)
+        sizes = [*execution.shape[-2:], *self._size_of(execution, flags)]
+        return self._matrices(torch.tensor([sizes], dtype=dtype, device="cpu").to(x.device), flags).expand(
+            execution.shape[0], 3, 3
+        )
+
+    @staticmethod
+    def _matrices(sizes: Tensor, flags: dict[str, Any]) -> Tensor:
+        """The matrices (B, 3, 3) of heights and widths of images and of results, (B, 4)."""
+        h, w, to_h, to_w = map(Column, range(4))
+        corners = float(flags["align_corners"] is not False)
+        return transform_matrix(sizes, [Transform("crop", 0.0, 0.0, w, h, to_w, to_h, corners)])
+
+    def _operates_on(self, dtype: torch.dtype) -> bool:
+        return not self._is_customized()
+
+    def _run_list(self, images: Sequence[Tensor], execution: Execution) -> list[Tensor]:
+        given = execution.params
+        factors = self._values_on_host(execution)[:, 0] if given is None else given["scale"]
+        sizes = [_scaled(x.shape[-2], x.shape[-1], factor) for x, factor in zip(images, factors.tolist())]
+        of_all = [n for size in sizes for n in size]
+        if self.flags["antialias"]:
+            return _antialiased_list(images, of_all, self.flags, is_list=True)
+        like = like_batch(images)
+        sides = torch.tensor([[*x.shape[-2:], *size] for x, size in zip(images, sizes)], device="cpu")
+        matrices = self._matrices(sides.to(like.device, compute_dtype(like), non_blocking=True), self.flags)
+        return list(warp_each(list(images), matrices, of_all, self.resampling(self.flags)))
 
     def _run(self, x: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
         if not execution.applied or self._is_customized():
@@ -266,6 +299,10 @@ class RandomScale(GeometricAugmentationBase2D):
             return masks
         resampling = self.resampling(flags).for_labels(fill=flags.get("mask_fill"))
         return warp_labels(masks, self._matrix(execution), self._size_of(execution, flags), resampling)
+
+
+def _scaled(height: int, width: int, factor: float) -> tuple[int, int]:
+    return max(round(height * factor), 1), max(round(width * factor), 1)
 
 
 class PadTo(GeometricAugmentationBase2D):

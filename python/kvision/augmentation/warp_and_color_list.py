@@ -115,14 +115,17 @@ warp_and_color_list = ListOperator(
     ),
 )
 
-# --- results of the sizes of the images -----------------------------------------------------------------------------
+# --- lists of results -----------------------------------------------------------------------------------------------
 
-# Arguments: images (C, H, W), columns and fill of `warp_and_color`, whether there is a warp, plan and numbers. The matrices and the
-# means follow the results.
+# Arguments: images (C, H, W), columns and fill of `warp_and_color`, whether there is a warp, height and width of each of its
+# results, none for those of the images, plan and numbers. The matrices and the means follow the results.
 
 
-def _size_of(x: Tensor, warps: bool) -> list[int]:
-    return list(x.shape[-2:]) if warps else []
+def _sizes(images: Sequence[Tensor], warps: bool, sizes: Sequence[int]) -> list[list[int]]:
+    """The argument `size` of `warp_and_color` of each image."""
+    if not warps:
+        return [[]] * len(images)
+    return list(lists.sizes_of(sizes, len(images))) if sizes else [list(x.shape[-2:]) for x in images]
 
 
 def _list_reference(
@@ -130,34 +133,34 @@ def _list_reference(
     columns: Tensor | None,
     fill: Tensor | None,
     warps: bool,
+    sizes: Sequence[int],
     plan: Sequence[int],
     numbers: Sequence[float],
 ) -> list[Tensor]:
     each = [
-        batches.warp_and_color.reference(
-            x[None], lists.row(columns, b), lists.row(fill, b), _size_of(x, warps), plan, numbers
-        )
-        for b, x in enumerate(images)
+        batches.warp_and_color.reference(x[None], lists.row(columns, b), lists.row(fill, b), size, plan, numbers)
+        for b, (x, size) in enumerate(zip(images, _sizes(images, warps, sizes)))
     ]
     results, matrices, means = zip(*each)
     return [*(y[0] for y in results), torch.cat(matrices), torch.cat(means)]
 
 
-def _list_fake(images, columns, fill, warps, plan, numbers):
-    each = [batches._fake(x[None], None, fill, _size_of(x, warps), plan, numbers) for x in images]
-    _, matrix, mean = batches._fake(_like(images), columns, fill, _size_of(images[0], warps), plan, numbers)
+def _list_fake(images, columns, fill, warps, sizes, plan, numbers):
+    own = _sizes(images, warps, sizes)
+    each = [batches._fake(x[None], None, fill, size, plan, numbers) for x, size in zip(images, own)]
+    _, matrix, mean = batches._fake(_like(images), columns, fill, own[0], plan, numbers)
     return [*(y[0] for y, *_ in each), matrix, mean]
 
 
-def _list_backward(needs, grads, results, images, columns, fill, warps, plan, numbers):
+def _list_backward(needs, grads, results, images, columns, fill, warps, sizes, plan, numbers):
     *ys, matrix, mean = results
     parts, count = batches._parse(plan, numbers), len(images)
     grads = [torch.zeros_like(y) if g is None else g for g, y in zip(grads[:count], ys)]
     if needs[2] or ys[0].dtype == torch.uint8 or images[0].dtype == torch.uint8:
-        return _differentiate_list_reference(needs, grads, images, columns, fill, warps, plan, numbers)
+        return _differentiate_list_reference(needs, grads, images, columns, fill, warps, sizes, plan, numbers)
     options, of_columns = (*parts.sampling, True, False), None
     if parts.steps or grads[0].dtype != images[0].dtype:
-        sampled = warp_list(images, matrix, fill, lists.sizes(images), *options) if warps else images
+        sampled = warp_list(images, matrix, fill, lists.sizes(ys), *options) if warps else images
         sampled = lists.samples(sampled) if len(images) == 1 and sampled[0].dim() == 4 else [x[None] for x in sampled]
         none, of_each = matrix[:, :0], []
         for b, (g, x) in enumerate(zip(grads, sampled)):
@@ -203,9 +206,10 @@ def _differentiate_list_reference(
 
 
 def _list_supports(
-    images: Sequence[Tensor], columns: Any, fill: Any, warps: bool, plan: Any, numbers: Any
+    images: Sequence[Tensor], columns: Any, fill: Any, warps: bool, sizes: Any, plan: Any, numbers: Any
 ) -> str | None:
-    return batches._supports(_like(images), columns, fill, _size_of(images[0], warps), plan, numbers)
+    size = images[0].shape[-2:] if warps else []
+    return batches._supports(_like(images), columns, fill, size, plan, numbers)
 
 
 warp_and_color_to_list = ListOperator(
@@ -217,7 +221,7 @@ warp_and_color_to_list = ListOperator(
     saves_results=True,
     non_differentiable=(-2, -1),
     supports=_list_supports,
-    nondeterministic=lambda images, columns, fill, warps, plan, numbers: (
+    nondeterministic=lambda images, columns, fill, warps, sizes, plan, numbers: (
         images[0].is_cuda and bool(warps) and plan[3] != batches.PADDING["fill"] and images[0].is_floating_point()
     ),
 )

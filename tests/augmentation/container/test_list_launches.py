@@ -19,15 +19,6 @@ SIZES = ((20, 28), (24, 18), (17, 17), (30, 25), (22, 23), (26, 21))
 # A call for each size, each with what its kernels lack.
 BY_SIZE = {
     "parameters of each size from labels or corners": {"RandomCropNearBBox", "RandomIoUCrop", "RandomZoomOut"},
-    "results of sizes that differ from those of the images": {
-        "D4",
-        "LongestMaxSize",
-        "Pad",
-        "PadIfNeeded",
-        "RandomScale",
-        "SmallestMaxSize",
-        "Transpose",
-    },
     "a stencil or a map": {
         "RandomMotionBlur",
         "RingingOvershoot",

@@ -229,7 +229,8 @@ def seeds_of_list(op: str, modules: Sequence[Any], count: int, seed: Seed, gener
 def _draws_same(module: Any) -> bool | None:
     """Whether a module draws the same for all samples; None if it draws nothing."""
     if hasattr(module, "output_shape"):
-        draws = module._draws_by_name or (module.p > 0 and module._request((1, 3, *SIZES[0])) is not None)
+        request = module._request((1, 3, *SIZES[0])) if module.p > 0 and not module._draws_by_name else None
+        draws = module._draws_by_name or (request is not None and len(request.draws) > 0)
     else:
         draws = getattr(module, "_draws_choices", False)
     return bool(module.same_on_batch) if draws else None
@@ -323,7 +324,9 @@ def params_of_rows(params: Any, rows: Sequence[int], count: int) -> Any:
     own: dict[str, Any] = {}
     for name, value in params.items():
         if isinstance(value, list) and len(value) == count:
-            own[name] = torch.stack([value[i] for i in rows], 1).flatten(0, 1)
+            each = [value[i] for i in rows]
+            has_one_shape = all(x.shape == each[0].shape for x in each)
+            own[name] = torch.stack(each, 1).flatten(0, 1) if has_one_shape else each
         elif not isinstance(value, Tensor) or not value.dim():
             own[name] = value
         elif name == _SHAPE:

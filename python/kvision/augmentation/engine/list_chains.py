@@ -22,7 +22,7 @@ from kvision.augmentation.engine.list_calls import Parts, joined, params_of_rows
 from kvision.augmentation.engine.list_replays import replay_list
 from kvision.augmentation.engine.list_runs import run_list
 from kvision.augmentation.engine.record import Child, ParamItem, Record, SomeParamItem
-from kvision.augmentation.engine.runs import decides, execute, inside_child, runs_of
+from kvision.augmentation.engine.runs import execute, inside_child, runs_of
 from kvision.augmentation.engine.stages import Chain, Nested, Stage
 from kvision.augmentation.engine.turns import Turn
 from kvision.augmentation.keys import Seed
@@ -127,7 +127,7 @@ def _takes_lists(container: Any) -> bool:
     if not _is_plain(container) or any(getattr(m, "_output", SAME) != SAME for m in container.modules()):
         return False
     return not any(
-        m.mixes_samples or m.reads_labels is not None or m.needs_masks or decides(m) or not m.takes_lists
+        m.mixes_samples or m.reads_labels is not None or m.needs_masks or not m.takes_lists
         for m in container.modules()
         if isinstance(m, AugmentationBase)
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -13,12 +14,14 @@ from torch.compiler import is_compiling
 from kvision._dtype import compute_dtype
 from kvision.augmentation.engine.call_context import CallContext
 from kvision.augmentation.engine.execution import Execution
-from kvision.augmentation.engine.list_calls import SIZES, Parts
+from kvision.augmentation.engine.list_calls import SIZES, Parts, params_of_rows
 from kvision.augmentation.engine.list_runs import (
+    NumbersOfEach,
     Sized,
     SizedNumbers,
     count_list_steps,
     find_sized,
+    grouped,
     run_list_steps,
     takes_list,
 )
@@ -52,8 +55,7 @@ class _Replay(NamedTuple):
     """A run with given parameters on lists, whatever their lengths and sizes."""
 
     sized: Sized
-    own: int  # how many augmentations leave images their sizes
-    numbers: SizedNumbers | None  # inputs of matrices
+    numbers: SizedNumbers | NumbersOfEach | None  # inputs of matrices
     has_sized_identity: bool  # columns of samples that are not chosen depend on the size
 
 
@@ -64,8 +66,23 @@ def replay_list(images: list[Tensor], children: Sequence[Child], context: CallCo
     runs = runs_of(children, context.plans)
     if is_compiling() or len(runs) != 1 or not runs[0][1] or any(child.samples is not None for child in children):
         return None
-    key = ("list replay", first.shape[0], first.dtype, context.once, context.output, *map(id, modules), *names)
-    replay: _Replay | None = context.plans.made(key, lambda: _make(images, children, context))
+    if any(isinstance(x, Tensor) and x.is_cuda for child in children for x in (child.params or {}).values()):
+        return None
+    groups = _groups(children, len(images))
+    if len(groups) > 1:
+        return _replay_groups(images, children, context, groups)
+    ((_, applied),) = groups
+    key = (
+        "list replay",
+        first.shape[0],
+        first.dtype,
+        context.once,
+        context.output,
+        *applied,
+        *map(id, modules),
+        *names,
+    )
+    replay: _Replay | None = context.plans.made(key, lambda: _make(images, children, applied, context))
     if replay is None:
         return None
     like = like_batch(images)
@@ -81,13 +98,35 @@ def replay_list(images: list[Tensor], children: Sequence[Child], context: CallCo
     steps = plan_steps(modules, executions, context.once, first.dtype, context.output, chains)
     if not all(_takes_list(step, modules, first.dtype) for step in steps):
         return None
-    has_one_size = replay.own < len(modules)
-    if has_one_size and not executions[replay.own].applied:
-        return None
+    one_size = replay.sized.own if replay.sized.own < len(modules) else None
     running = Running(modules, executions, columns, False)
-    return run_list_steps(
-        images, steps, running, count_list_steps(steps, replay.own if has_one_size else None), has_one_size
-    )
+    return run_list_steps(images, steps, running, count_list_steps(steps, one_size), replay.sized)
+
+
+def _groups(children: Sequence[Child], count: int) -> list[tuple[Sequence[int], Sequence[bool]]]:
+    """The images for which the same augmentations are applied, of those that are applied to a batch or not."""
+    columns: list[list[bool]] = []
+    for child in children:
+        module: Any = child.module
+        chosen: Any = (child.params or {}).get("batch_prob") if module.whole_batch else None
+        is_of_each = isinstance(chosen, Tensor) and len(chosen) == count
+        columns.append((chosen > 0.5).tolist() if is_of_each else [True] * count)
+    return grouped(columns)
+
+
+def _replay_groups(
+    images: list[Tensor], children: Sequence[Child], context: CallContext, groups: Sequence[Any]
+) -> list[Tensor] | None:
+    """The results of a run whose augmentations are applied to some of the images."""
+    results = list(images)
+    for samples, _ in groups:
+        own = [replace(child, params=params_of_rows(child.params, samples, len(images))) for child in children]
+        y = replay_list([images[i] for i in samples], own, context)
+        if y is None:
+            return None
+        for i, result in zip(samples, y):
+            results[i] = result
+    return results
 
 
 def _call(execution: Execution) -> Call:
@@ -95,24 +134,19 @@ def _call(execution: Execution) -> Call:
     return Call(execution.shape, execution.applied, False, None, span)
 
 
-def _make(images: Sequence[Tensor], children: Sequence[Child], context: CallContext) -> _Replay | None:
+def _make(
+    images: Sequence[Tensor], children: Sequence[Child], applied: Sequence[bool], context: CallContext
+) -> _Replay | None:
     modules: list[Any] = [child.module for child in children]
-    found = find_sized(modules, images[0].shape[0], context)
+    sized = find_sized(modules, applied, images[0].shape[0], context)
     has_pixels = any(m._param_generator is not None and m._param_generator.per_pixel for m in modules)
-    if found is None or has_pixels or context.output.memory_format is not None:
-        return None
-    if any(isinstance(x, Tensor) and x.is_cuda for child in children for x in (child.params or {}).values()):
-        return None
-    sized, own = found
-    sized.draws = []
-    numbers = SizedNumbers.of(sized.numbers) if sized.count else None
-    if numbers is None and sized.count:
+    if sized is None or has_pixels or context.output.memory_format is not None:
         return None
     shape = (len(images), images[0].shape[0])
     if not _has_same_columns(children, shape, None):
         return None
     none = torch.zeros(len(images), dtype=torch.bool, device="cpu")
-    return _Replay(sized, own, numbers, not _has_same_columns(children, shape, none))
+    return _Replay(sized, sized.numbers(has_draws=False), not _has_same_columns(children, shape, none))
 
 
 def _has_same_columns(children: Sequence[Child], shape: tuple[int, int], chosen: Tensor | None) -> bool:

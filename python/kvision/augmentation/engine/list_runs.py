@@ -1,9 +1,10 @@
-"""Runs of augmentations that leave images of a list their sizes, by the launches of a batch, whatever the number of images.
+"""Runs of augmentations on a list of images, by the launches of a batch, whatever the number of images.
 
-The draws are those of a batch, in one launch. What a draw or a matrix takes from the size of its image is a linear function of
-height and width: columns of their own, which the same launch writes. Each pass gives a list, until a crop or resize gives all
-images one size; the rest is a run on a batch. What belongs to the images later, labels, parameters and the inverse, asks for the
-calls of parts, which the columns of the list give.
+The draws are those of a batch, in one launch. What a draw or a matrix takes from the size of its image is in columns of their own,
+which the same launch writes: linear functions of height and width, or numbers that are read for each size. Each pass gives a list,
+until a crop or resize gives all images one size; the rest is a run on a batch. Images for which other augmentations are applied,
+as the host decides where sizes change, are runs of their own. What belongs to the images later, labels, parameters and the
+inverse, asks for the calls of parts, which the columns of the list give.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import torch
@@ -20,16 +21,17 @@ from torch.compiler import is_compiling
 
 from kvision.augmentation.columns import Column, Columns, DrawPlan
 from kvision.augmentation.drawn_pass import DrawnListPass, SizedDraws
-from kvision.augmentation.draws import HEADER, MAX_DRAWS, MAX_NUMBERS, Draw, Request, make_plan
+from kvision.augmentation.draws import HEADER, MAX_DRAWS, MAX_NUMBERS, Draw, Request, is_chosen_batch, make_plan
 from kvision.augmentation.engine.call_context import CallContext
-from kvision.augmentation.engine.execution import Execution, ListExecution, matrix_type
-from kvision.augmentation.engine.list_calls import SIZES, Parts
+from kvision.augmentation.engine.execution import Execution, ListExecution, Shape, matrix_type
+from kvision.augmentation.engine.list_calls import SIZES, Parts, refuse_list, seeds_of_list
 from kvision.augmentation.engine.passes import Alone, Joined, Running, Step, plan_steps
 from kvision.augmentation.engine.record import Child, Record
 from kvision.augmentation.engine.runs import Call, RunPlan, decides, plan_run, runs_of
 from kvision.augmentation.engine.stages import Chain, Stage
 from kvision.augmentation.keys import Keys
 from kvision.augmentation.noise import PixelNoise
+from kvision.augmentation.sample_rows import read_rows
 from kvision.augmentation.transforms import Transform
 from kvision.augmentation.warp_and_color_list import warp_and_color_list, warp_and_color_to_list
 from kvision.geometry.transform.lists.arguments import like_batch, row
@@ -38,8 +40,8 @@ from kvision.geometry.transform.lists.arguments import sizes as sides_of
 Size = tuple[int, ...]
 _CORNERS = ((64, 64), (128, 64), (64, 128))  # sizes from which linear functions follow; at the others they are compared
 _ANY = 2  # images of a batch in plans, which do not depend on it
-_COMPARED = (*SIZES, (SIZES[0][0], SIZES[0][0]))  # square images may be drawn for in another way
-_PROBES = (*_CORNERS, *SIZES, (1, 1), (3, 1000), (641, 427))
+_SQUARE = (SIZES[0][0], SIZES[0][0])  # may be drawn for in another way
+_PROBES = (*SIZES, *_CORNERS, _SQUARE, (1, 1), (3, 1000), (641, 427))
 
 
 class SizedNumbers(NamedTuple):
@@ -56,10 +58,8 @@ class SizedNumbers(NamedTuple):
             rows = [read(size) for size in _PROBES]
         except ValueError:  # of images that are too small
             return None
-        if any(len(row) != len(rows[0]) for row in rows):
-            return None
-        side, numbers = _CORNERS[0][0], []
-        for first, higher, wider in zip(*rows[:3]):
+        side, numbers, corners = _CORNERS[0][0], [], len(SIZES)
+        for first, higher, wider in zip(*rows[corners : corners + 3]):
             of_height, of_width = (higher - first) / side, (wider - first) / side
             numbers.append((first - side * of_height - side * of_width, of_height, of_width))
         found = cls(*(tuple(column) for column in zip(*numbers)))
@@ -85,36 +85,67 @@ class SizedNumbers(NamedTuple):
         return torch.tensor(self, dtype=torch.float64, device="cpu")
 
 
-class _Reading:
-    """What augmentations draw, and the formulas of their matrices, for a size of images."""
+class NumbersOfEach(NamedTuple):
+    """Numbers that are read for the size of each image."""
 
-    def __init__(self, modules: Sequence[Any], batch: int, channels: int, context: CallContext) -> None:
-        self.modules, self.shape = modules, (batch, channels)
+    at_size: Callable[[Size], Sequence[float]]
+
+    def of_each(self, sides: Sequence[int]) -> Tensor:
+        """The numbers (B, N) for height and width of each image, float64 on the CPU."""
+        sizes, known = list(zip(sides[::2], sides[1::2])), dict[Size, Sequence[float]]()
+        for size in sizes:
+            if size not in known:
+                known[size] = self.at_size(size)
+        return torch.tensor([known[size] for size in sizes], dtype=torch.float64, device="cpu")
+
+
+class _Reading:
+    """What augmentations draw, and the formulas of their matrices, for a size of images, of those that are `applied`."""
+
+    def __init__(
+        self, modules: Sequence[Any], applied: Sequence[bool], batch: int, channels: int, context: CallContext
+    ) -> None:
+        self.modules, self.applied, self.shape = modules, applied, (batch, channels)
         self.is_certain, self.has_owners = context.is_certain, context.owners is not None
+
+    def shapes(self, size: Size) -> list[Shape]:
+        """The shapes of the images before each augmentation, and behind the last one."""
+        shapes: list[Shape] = [(*self.shape, *size)]
+        for module, is_applied in zip(self.modules, self.applied):
+            shapes.append(module.output_shape(shapes[-1], module.flags) if is_applied else shapes[-1])
+        return shapes
 
     def draws(self, size: Size) -> list[Any]:
         """Those of all augmentations, as `plan_run` asks for them."""
-        shape = (*self.shape, *size)
-        applied = [m for m in self.modules if self.is_certain or (m.p > 0 and m.p_batch > 0)]
-        requests = [m._request(shape, self.is_certain, self.has_owners) for m in applied]
+        requests = [
+            m._request(shape, self.is_certain, self.has_owners)
+            for m, shape in zip(self.modules, self.shapes(size))
+            if self.is_certain or (m.p > 0 and m.p_batch > 0)
+        ]
         return [draw for request in requests if request is not None for draw in request.draws]
 
     def chains(self, size: Size) -> list[Sequence[Transform]]:
         """The formulas of each augmentation; none of one without a matrix."""
-        shape = (*self.shape, *size)
-        chains = [m.matrix_transforms(shape, m.flags) if hasattr(m, "matrix_transforms") else () for m in self.modules]
+        chains = [
+            m.matrix_transforms(shape, m.flags) if is_applied and hasattr(m, "matrix_transforms") else ()
+            for m, is_applied, shape in zip(self.modules, self.applied, self.shapes(size))
+        ]
         return [() if chain is None else chain for chain in chains]
 
 
 class Sized:
-    """The draws and the inputs of matrices that depend on the size of an image, among those of augmentations."""
+    """The draws and the inputs of matrices that depend on the size of an image, among those of augmentations.
 
-    def __init__(self, reading: _Reading) -> None:
-        self.reading = reading
-        draws = list(map(reading.draws, _COMPARED))
+    `own` of these give images sizes of their own, those in `sizing` others than the images have, and the next one all the same.
+    """
+
+    def __init__(self, reading: _Reading, own: int, sizing: Sequence[int]) -> None:
+        self.reading, self.own, self.sizing = reading, own, sizing
+        probes = _valid(reading.draws)
+        draws = [own for _, own in probes]
         self.has_same_draws = all([_kind(a) for a in own] == [_kind(a) for a in draws[0]] for own in draws)
         self.draws = [i for i, (first, *others) in enumerate(zip(*draws)) if any(a != first for a in others)]
-        chains = list(map(reading.chains, _COMPARED))
+        chains = [reading.chains(size) for size, _ in probes]
         forms = [[[(t.kind, len(t.inputs)) for t in chain] for chain in of_size] for of_size in chains]
         self.has_same_forms = all(form == forms[0] for form in forms)
         # Of each augmentation pairs of a transform and an input, by their numbers.
@@ -129,10 +160,16 @@ class Sized:
         ]
         self.count = sum(map(len, self.inputs))
 
-    def numbers(self, size: Size) -> list[float]:
-        """Those of the draws, and then the inputs."""
-        draws = self.reading.draws(size)
-        numbers = [n for i in self.draws for n in draws[i].numbers]
+    def numbers(self, has_draws: bool = True) -> SizedNumbers | NumbersOfEach | None:
+        """What depends on the size, as numbers of each image: those of the draws, and then the inputs; None for none."""
+        if not self.count and not (has_draws and self.draws):
+            return None
+        read = partial(self._numbers, has_draws)
+        return SizedNumbers.of(read) or NumbersOfEach(read)
+
+    def _numbers(self, has_draws: bool, size: Size) -> list[float]:
+        draws = self.reading.draws(size) if has_draws else []
+        numbers = [n for i in self.draws for n in draws[i].numbers] if has_draws else []
         for chain, inputs in zip(self.reading.chains(size), self.inputs):
             numbers += [chain[i].inputs[k] for i, k in inputs]
         return numbers
@@ -152,6 +189,17 @@ class Sized:
         return bound
 
 
+def _valid(read: Callable[[Size], Any]) -> list[tuple[Size, Any]]:
+    """What `read` gives for those sizes of images that are not too small."""
+    known = []
+    for size in _PROBES:
+        try:
+            known.append((size, read(size)))
+        except ValueError:
+            pass
+    return known
+
+
 def _kind(draw: Any) -> Any:
     return (draw.kind, draw.columns) if isinstance(draw, Draw) else None
 
@@ -161,66 +209,69 @@ class _ListPlan(NamedTuple):
 
     run: RunPlan
     steps: int  # which read lists
-    has_one_size: bool  # of the last of these
+    sized: Sized
     draws: DrawPlan | None  # of all columns; None if there are none
     listed: Sequence[int]  # the draws with numbers of each image, by their positions among all
-    numbers: SizedNumbers | None
+    numbers: SizedNumbers | NumbersOfEach | None
     drawn: DrawnListPass | None  # the draws with the first step
-    sized: SizedDraws | None  # the draws alone
+    drawn_alone: SizedDraws | None  # the draws
 
 
 # --- the plan -------------------------------------------------------------------------------------------------------
 
 
 def _make_plan(
-    images: Sequence[Tensor], modules: Sequence[Any], context: CallContext, position: int
+    images: Sequence[Tensor], modules: Sequence[Any], applied: Sequence[bool], context: CallContext
 ) -> _ListPlan | None:
     """The plan of a run; None where it is not made of passes: others draw for the pixels of a batch, or are found in it."""
     batch, channels = _ANY, images[0].shape[0]
-    found = find_sized(modules, channels, context)
-    if found is None or not found[0].has_same_draws:
+    sized = find_sized(modules, applied, channels, context)
+    if sized is None or not sized.has_same_draws:
         return None
-    sized, own = found
-    has_one_size = own < len(modules)
+    has_one_size = sized.own < len(modules)
     like = images[0].detach().new_empty(1).expand(batch, channels, *SIZES[0])
-    run, _ = plan_run(like, modules, context, position, sized.bound)
+    run, _ = plan_run(like, modules, context, context.position, sized.bound)
     if len(run.draws) > 1 or any(draws.learned is not None for draws in run.draws):
         return None
     if not all(takes_list(step, modules, like.dtype) for step in run.steps):
         return None
-    steps = count_list_steps(run.steps, own if has_one_size else None)
+    steps = count_list_steps(run.steps, sized.own if has_one_size else None)
     if context.output.memory_format is not None and not has_one_size:
         return None
-    numbers = SizedNumbers.of(sized.numbers) if sized.draws or sized.count else None
-    if numbers is None and (sized.draws or sized.count):
-        return None
-    draws = run.draws[0] if run.draws else None
-    listed = list(sized.draws)
+    numbers, draws, listed = sized.numbers(), run.draws[0] if run.draws else None, list(sized.draws)
     if sized.count:
         listed += [_count_draws(draws) + i for i in range(sized.count)]
         draws = _with_numbers(draws, sized.count)
     if draws is not None and (_count_draws(draws) > MAX_DRAWS or len(draws.numbers) > MAX_NUMBERS):
         return None
     drawn = sized_draws = None
-    linear = torch.empty(3, 0, dtype=torch.float64, device="cpu") if numbers is None else numbers.linear()
-    if draws is not None:
+    if draws is not None and not isinstance(numbers, NumbersOfEach):
+        linear = torch.empty(3, 0, dtype=torch.float64, device="cpu") if numbers is None else numbers.linear()
         sized_draws = SizedDraws(draws, listed, linear)
-    first = run.steps[0] if run.steps else None
-    has_list_first = context.owners is None and (steps > 1 or not has_one_size)
-    if draws is not None and isinstance(first, Joined) and has_list_first:
-        drawn = DrawnListPass(draws, listed, linear, first.image_pass, like.shape, like.dtype)
-    return _ListPlan(run, steps, has_one_size, draws, listed, numbers, drawn, sized_draws)
+        first = run.steps[0] if run.steps else None
+        has_list_first = context.owners is None and not sized.sizing and (steps > 1 or not has_one_size)
+        if isinstance(first, Joined) and has_list_first:
+            drawn = DrawnListPass(draws, listed, linear, first.image_pass, like.shape, like.dtype)
+    return _ListPlan(run, steps, sized, draws, listed, numbers, drawn, sized_draws)
 
 
-def find_sized(modules: Sequence[Any], channels: int, context: CallContext) -> tuple[Sized, int] | None:
-    """What depends on the sizes of images, and how many augmentations leave them these; None for what is no run on a list."""
-    if any(decides(m) or m._derives or m.mixes_samples or not m.takes_lists for m in modules):
+def find_sized(modules: Sequence[Any], applied: Sequence[bool], channels: int, context: CallContext) -> Sized | None:
+    """What depends on the sizes of images; None for what is no run on a list."""
+    if any(m._derives or m.mixes_samples or not m.takes_lists for m in modules):
         return None
-    own = _number_of_own_size(modules, _ANY, channels)
-    if own is None:
+    of_sizes = [own for _, own in _valid(_Reading(modules, applied, _ANY, channels, context).shapes)]
+    if any(shape[:2] != (_ANY, channels) for shapes in of_sizes for shape in shapes):
         return None
-    sized = Sized(_Reading(modules[: own + 1], _ANY, channels, context))
-    return (sized, own) if sized.has_same_forms else None
+    own, sizing = len(modules), []
+    for number in range(len(modules)):
+        before, after = zip(*[(shapes[number], shapes[number + 1]) for shapes in of_sizes])
+        if all(shape == after[0] for shape in after):
+            own = number
+            break
+        if after != before:
+            sizing.append(number)
+    sized = Sized(_Reading(modules[: own + 1], applied, _ANY, channels, context), own, sizing)
+    return sized if sized.has_same_forms else None
 
 
 def count_list_steps(steps: Sequence[Step], crop: int | None) -> int:
@@ -228,19 +279,6 @@ def count_list_steps(steps: Sequence[Step], crop: int | None) -> int:
     if crop is None:
         return len(steps)
     return 1 + next(i for i, step in enumerate(steps) if isinstance(step, Joined) and crop in step.geometric)
-
-
-def _number_of_own_size(modules: Sequence[Any], batch: int, channels: int) -> int | None:
-    """How many augmentations give images their own sizes, before one that gives all the same; None where one gives others."""
-    for own, module in enumerate(modules):
-        shapes = [module.output_shape((batch, channels, *size), module.flags) for size in SIZES]
-        if any(shape[:2] != (batch, channels) for shape in shapes):
-            return None
-        if shapes[0] == shapes[1]:
-            return own
-        if tuple(tuple(shape[2:]) for shape in shapes) != SIZES:
-            return None
-    return len(modules)
 
 
 def takes_list(step: Step, modules: Sequence[Any], dtype: torch.dtype) -> bool:
@@ -277,7 +315,7 @@ def _with_numbers(draws: DrawPlan | None, count: int) -> DrawPlan:
 def _draw(plan: _ListPlan, draws: DrawPlan, like: Tensor, keys: Keys, sides: Sequence[int]) -> Tensor:
     if plan.numbers is None:
         return draws.draw(like, keys)
-    if is_compiling():  # a graph has no numbers of tensors
+    if is_compiling() and isinstance(plan.numbers, SizedNumbers):  # a graph has no numbers of tensors
         numbers = [n for size in zip(sides[::2], sides[1::2]) for n in plan.numbers.at(*size)]
     else:
         numbers = plan.numbers.of_each(sides).flatten().tolist()
@@ -334,8 +372,12 @@ class _Call:
             own = None if number is None or span is None or columns is None else Columns(columns, span)
             execution = Execution(shape, own, applied=applies, is_certain=is_certain)
             execution.identity = matrix_type(self.like)
-            if self._has_noise and number is not None and self.keys is not None:
-                execution.noise = self._noise(module, self.plan.run.first + number, first)
+            if number is not None and self.keys is not None:
+                position = self.plan.run.first + number
+                if self._has_noise:
+                    execution.noise = self._noise(module, position, first)
+                elif self.keys.seeds is not None and len(rows) == 1 and self.context.owners is None:
+                    execution.redraw = (self._keys_of(first), position)
             executions.append(execution)
             shape = module.output_shape(shape, module.flags) if applies else shape
         steps = plan_steps(self.modules, executions, self.context.once, self.like.dtype, self.context.output)
@@ -353,43 +395,53 @@ class _Call:
 
     def _noise(self, module: Any, number: int, image: int) -> PixelNoise:
         """The source of the noise of an augmentation in an image."""
+        return PixelNoise(self._keys_of(image), number, module.same_on_batch, self.like.device, first=image)
+
+    def _keys_of(self, image: int) -> Keys:
         keys = self.keys
         assert keys is not None
-        if keys.seeds is not None:
-            keys = keys._replace(seeds=row(keys.seeds, image))
-        return PixelNoise(keys, number, module.same_on_batch, self.like.device, first=image)
+        return keys if keys.seeds is None else keys._replace(seeds=row(keys.seeds, image))
+
+
+_Samples = tuple[Sequence[int], _Call]  # the numbers of images, and the run of these
 
 
 class ListParts(Parts):
-    """The parts of a run on a list, whose calls are made of the columns of the list when they are asked for."""
+    """The parts of runs on a list, whose calls are made of the columns of the runs when they are asked for.
 
-    def __init__(self, call: _Call, child: int | None = None) -> None:
-        self.op, self.count, self._call, self._child = call.op, call.shape[0], call, child
+    Each run has some of the images, of which `samples` are the numbers.
+    """
+
+    def __init__(self, op: str, runs: Sequence[_Samples], child: int | None = None) -> None:
+        self.op, self._runs, self._child = op, runs, child
+        self.count = sum(len(samples) for samples, _ in runs)
 
     @cached_property
     def rows(self) -> list[list[int]]:  # type: ignore[override]
-        return self._call.rows()
+        return [[samples[i] for i in rows] for samples, run in self._runs for rows in run.rows()]
 
     @cached_property
     def calls(self) -> list[Any]:  # type: ignore[override]
-        records = map(self._call.record, self.rows)
+        records = [run.record(rows) for _, run in self._runs for rows in run.rows()]
         return [record if self._child is None else record.children[self._child].record for record in records]
 
     @property
     def shape(self) -> tuple[int, ...]:
-        sides = self._call.sides
-        # A graph would be one of which image is the largest.
-        size = sides[:2] if is_compiling() else (max(sides[::2]), max(sides[1::2]))
-        return (*self._call.shape, *size)
+        run = self._runs[0][1]
+        if is_compiling():  # a graph would be one of which image is the largest
+            return (self.count, run.shape[1], *run.sides[:2])
+        sides = [run.sides for _, run in self._runs]
+        return (self.count, run.shape[1], *(max(max(own[axis::2]) for own in sides) for axis in (0, 1)))
 
     def done(self, i: int) -> tuple[Sequence[Child], Sequence[Stage]]:
         """What an image got, and what its labels have to follow."""
-        record = self._call.record([i])
+        samples, run = next(run for run in self._runs if i in run[0])
+        record = run.record([samples.index(i)])
         return record.children, record.stages.stages
 
     def of_child(self, number: int) -> ListParts:
-        """The calls of an augmentation of the run."""
-        return ListParts(self._call, number)
+        """The calls of an augmentation of the runs."""
+        return ListParts(self.op, self._runs, number)
 
 
 def run_list(images: list[Tensor], children: Sequence[Child], context: CallContext) -> tuple[Any, ListParts] | None:
@@ -399,7 +451,83 @@ def run_list(images: list[Tensor], children: Sequence[Child], context: CallConte
     runs = runs_of(children, context.plans)
     if len(runs) != 1 or not runs[0][1] or children[0].params is not None:
         return None
-    modules, first = [child.module for child in children], images[0]
+    modules: list[Any] = [child.module for child in children]
+    names = [child.name for child in children]
+    done: tuple[Any, Sequence[_Samples]] | None
+    if context.is_certain or not any(decides(m) or not m.has_known_size for m in modules):
+        plan = _kept_plan(images, modules, [True] * len(modules), context)
+        done = None if plan is None else _run_planned(images, modules, names, context, plan)
+    else:
+        done = _run_decided(images, modules, names, context)
+    if done is None:
+        return None
+    y, calls = done
+    parts = ListParts(context.op, calls)
+    for i, module in enumerate(modules):
+        module.__dict__["_execution"] = ListExecution(parts.of_child(i))
+    return y, parts
+
+
+def _run_planned(
+    images: list[Tensor], modules: Sequence[Any], names: Sequence[str], context: CallContext, plan: _ListPlan
+) -> tuple[Any, list[_Samples]]:
+    """The results of a run, and its call."""
+    like, shape = like_batch(images), (len(images), images[0].shape[0])
+    y, columns, keys, sides = _execute(images, modules, context, plan, like)
+    call = _Call(context.op, modules, names, context, plan, columns, keys, like.new_empty(0), shape, sides)
+    return y, [(range(len(images)), call)]
+
+
+def _run_decided(
+    images: list[Tensor], modules: Sequence[Any], names: Sequence[str], context: CallContext
+) -> tuple[list[Any], list[_Samples]] | None:
+    """The results of a run whose augmentations are applied to some images, and its calls: one for each choice of them."""
+    if is_compiling() or len({x.shape for x in images}) == 1:  # a batch, which is decided for as one
+        return None
+    refuse_list(context.op, modules)
+    seeds = seeds_of_list(context.op, modules, len(images), context.seed, context.generator_of(modules[0]))
+    planned = []
+    for samples, applied in _decided(modules, seeds, context):
+        own = context._replace(seed=read_rows(seeds, samples), generator=None)
+        plan = _kept_plan(images, modules, applied, own)
+        if plan is None:
+            return None
+        planned.append((samples, own, plan))
+    results: list[Any] = list(images)
+    calls = []
+    for samples, own, plan in planned:
+        y, ((_, call),) = _run_planned([images[i] for i in samples], modules, names, own, plan)
+        calls.append((samples, call))
+        for i, result in zip(samples, y):
+            results[i] = result
+    return results, calls
+
+
+def _decided(modules: Sequence[Any], seeds: Tensor, context: CallContext) -> list[tuple[Sequence[int], Sequence[bool]]]:
+    """The numbers of images for which the same augmentations are applied, and which these are, as `plan_run` decides by seeds."""
+    keys, number, columns = seeds.tolist(), 0, list[list[bool]]()
+    for module in modules:
+        if not decides(module):
+            columns.append([True] * len(keys))
+        else:
+            position = context.position + number
+            columns.append([is_chosen_batch(key, position, module.p_batch) for key in keys])
+        number += module.p > 0 and module.p_batch > 0 and module._request((1, 3, *SIZES[0])) is not None
+    return grouped(columns)
+
+
+def grouped(columns: Sequence[Sequence[bool]]) -> list[tuple[Sequence[int], Sequence[bool]]]:
+    """The numbers of images for which the same augmentations are applied, and which these are, of a column for each."""
+    groups: dict[tuple[bool, ...], list[int]] = {}
+    for i, applied in enumerate(zip(*columns)):
+        groups.setdefault(applied, []).append(i)
+    return [(samples, applied) for applied, samples in groups.items()]
+
+
+def _kept_plan(
+    images: Sequence[Tensor], modules: Sequence[Any], applied: Sequence[bool], context: CallContext
+) -> _ListPlan | None:
+    first = images[0]
     own = (
         first.shape[0],
         first.dtype,
@@ -410,29 +538,9 @@ def run_list(images: list[Tensor], children: Sequence[Child], context: CallConte
         context.is_certain,
         context.owners is None,
     )
-    key = ("list run", *own, *map(id, modules))
-    plan: _ListPlan | None = context.plans.made(key, lambda: _make_plan(images, modules, context, context.position))
-    if plan is None:
-        return None
-    like = like_batch(images)
-    y, columns, keys, sides = _execute(images, modules, context, plan, like)
-    names = [child.name for child in children]
-    call = _Call(
-        context.op,
-        modules,
-        names,
-        context,
-        plan,
-        columns,
-        keys,
-        like.new_empty(0),
-        (len(images), first.shape[0]),
-        sides,
-    )
-    parts = ListParts(call)
-    for i, module in enumerate(modules):
-        module.__dict__["_execution"] = ListExecution(parts.of_child(i))
-    return y, parts
+    key = ("list run", *own, *applied, *map(id, modules))
+    plan: _ListPlan | None = context.plans.made(key, lambda: _make_plan(images, modules, applied, context))
+    return None if plan is not None and is_compiling() and isinstance(plan.numbers, NumbersOfEach) else plan
 
 
 def _execute(
@@ -449,7 +557,8 @@ def _execute(
     if drawn is not None:
         x, columns, sides = drawn
     else:
-        of_sizes = None if plan.sized is None or keys is None or is_compiling() else plan.sized.run(images, keys)
+        alone = plan.drawn_alone
+        of_sizes = None if alone is None or keys is None or is_compiling() else alone.run(images, keys)
         if of_sizes is not None:
             columns, sides = of_sizes
         else:
@@ -464,12 +573,13 @@ def _execute(
         execution.shape = (len(images), *execution.shape[1:])
     running = Running(modules, executions, columns, context.has_labels)
     done = 0 if drawn is None else 1
-    x = run_list_steps(x, run.steps[done:], running, plan.steps - done, plan.has_one_size)
+    x = run_list_steps(x, run.steps[done:], running, plan.steps - done, plan.sized)
     return x, columns, keys, sides
 
 
-def run_list_steps(x: Any, steps: Sequence[Step], running: Running, of_list: int, has_one_size: bool) -> Any:
+def run_list_steps(x: Any, steps: Sequence[Step], running: Running, of_list: int, sized: Sized) -> Any:
     """What steps make of a list, which `of_list` of them read; the last of these may give a batch."""
+    has_one_size = sized.own < len(running.modules)
     for i, step in enumerate(steps):
         if i >= of_list:
             x, _ = step.run(x, running)
@@ -481,5 +591,19 @@ def run_list_steps(x: Any, steps: Sequence[Step], running: Running, of_list: int
             if has_one_size and i == of_list - 1:
                 x, *_ = warp_and_color_list(x, columns, fill, size, *rest)
             else:
-                x = list(warp_and_color_to_list(x, columns, fill, len(size) > 0, *rest)[: len(x)])
+                changes = any(number in sized.sizing for number in step.geometric)
+                sizes = _sizes_after([running.modules[n] for n in step.geometric], x) if changes else []
+                x = list(warp_and_color_to_list(x, columns, fill, len(size) > 0, sizes, *rest)[: len(x)])
     return x
+
+
+def _sizes_after(modules: Sequence[Any], images: Sequence[Tensor]) -> list[int]:
+    """Height and width of each image behind augmentations."""
+    after: dict[Size, Size] = {}
+    for x in images:
+        if x.shape not in after:
+            shape = (1, *x.shape)
+            for module in modules:
+                shape = module.output_shape(shape, module.flags)
+            after[x.shape] = shape[2:]
+    return [n for x in images for n in after[x.shape]]

@@ -306,8 +306,7 @@ ListResults run_pass_to_list(PassImages const& images, OptionalTensor const& col
                                   sides.begin() + (warps ? 2 : 0));  // is checked, and that of each taken
   WarpAndColorArguments const a(op, like, columns, fill, matrices, size, plan, numbers);
   color::PlanArgument const& program = a.plan.program;
-  KV_CHECK(program.layout < 0 && !a.plan.antialias, op,
-           ": expected results of the layout of images, without antialias");
+  KV_CHECK(program.layout < 0, op, ": expected results of the layout of images");
   geometry::ListSizes const sizes(op, sides, list.size());
   ScalarType const type = color::result_type(program, like);
   auto const arguments = a.program(like, type);
@@ -323,9 +322,16 @@ ListResults run_pass_to_list(PassImages const& images, OptionalTensor const& col
   Tensors sampled = list;
   if (warps) {
     bool const is_all = program.dtype < 0 && !a.plan.has_steps();
-    if (is_all) in = out;
-    sampled = geometry::empty_list(like, like.size(1), sizes, list.size(), in);
-    geometry::warp_to(sampled, in, list, *a.sampling, *a.matrix, sizes);
+    if (is_all || a.plan.antialias) in = out;
+    if (a.plan.antialias) {
+      sampled = geometry::windows_resized(op, list, *a.matrix_tensor, sides, a.plan.interpolation, a.plan.align_corners,
+                                          false);
+      if (Tensor const x = sampled[0]; x.dim() == 4)  // of a list of one
+        sampled[0] = view_of(x, {x.size(1), x.size(2), x.size(3)}, {x.stride(1), x.stride(2), x.stride(3)});
+    } else {
+      sampled = geometry::empty_list(like, like.size(1), sizes, list.size(), in);
+      geometry::warp_to(sampled, in, list, *a.sampling, *a.matrix, sizes);
+    }
     if (is_all) return {sampled, a.matrix_tensor, {}};
   }
   Tensors const results =

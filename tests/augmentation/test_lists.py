@@ -153,9 +153,24 @@ def seeds_of(images):
     return torch.arange(len(images), device=images[0].device) + 5
 
 
+def comparison(augment, device):
+    """By bits; up to rounding where a kernel of CUDA resizes a list with antialiasing, which adds in another order."""
+    if device.type == "cpu" or not any(getattr(m, "flags", {}).get("antialias") for m in augment.modules()):
+        return torch.equal
+    return lambda a, b: (
+        a.shape == b.shape
+        and bool(
+            (
+                (a.float() - b.float()).abs()
+                <= (1 if a.dtype == torch.uint8 else 2e-3 if a.dtype == torch.float16 else 1e-5)
+            ).all()
+        )
+    )
+
+
 def assert_as_alone(augment, images):
     """Each image of a list becomes what it becomes alone with its seed, by its bits, and so do its matrix and its inverse."""
-    seeds = seeds_of(images)
+    seeds, same = seeds_of(images), comparison(augment, images[0].device)
     results = augment(images, seed=seeds)
     matrices, params = augment.transform_matrix, augment._params
     back, known = augment.inverse(results), augment.known_pixels(results)
@@ -163,9 +178,9 @@ def assert_as_alone(augment, images):
     back_again = augment.inverse(results, params=params)
     for b, x in enumerate(images):
         alone = augment(x[None], seed=seeds[b : b + 1])
-        assert torch.equal(results[b], alone[0]) and torch.equal(again[b], alone[0])
+        assert same(results[b], alone[0]) and same(again[b], alone[0])
         assert torch.equal(matrices[b], augment.transform_matrix[0])
-        assert torch.equal(back[b], augment.inverse(alone)[0]) and torch.equal(back_again[b], back[b])
+        assert same(back[b], augment.inverse(alone)[0]) and same(back_again[b], back[b])
         assert torch.equal(known[b], augment.known_pixels(alone)[0])
 
 

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Literal, TypeAlias
+from typing import Any, ClassVar, Literal, TypeAlias
 
 import torch
 from torch import Tensor
 
 from kvision import _check
-from kvision._clamp import clamp
 from kvision._constants import constant
-from kvision.augmentation.engine import Params
+from kvision._dtype import compute_dtype
+from kvision.augmentation.columns import Column
+from kvision.augmentation.engine import Execution, Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
 from kvision.augmentation.random_generator.color import (
     ChannelDropoutGenerator,
@@ -19,14 +20,70 @@ from kvision.augmentation.random_generator.color import (
     PlanckianJitterGenerator,
 )
 from kvision.augmentation.random_generator.planckian_data import BLACKBODY, CIED
+from kvision.augmentation.warp_and_color import ColorPart, ColorStep, Pass, make_pass
+from kvision.augmentation.warp_and_color_list import warp_and_color_to_list
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
+from kvision.geometry.transform.lists.arguments import like_batch
 
 __all__ = ["RandomChannelDropout", "RandomChannelShuffle", "RandomPlanckianJitter"]
 
 Illuminants: TypeAlias = Literal["blackbody", "CIED"]
 
 
-class RandomChannelShuffle(IntensityAugmentationBase2D, keeps_contract=True):
+class _Channels(IntensityAugmentationBase2D, keeps_contract=True):
+    """Base of changes of channels: of three channels in a list by one color program, of others image by image."""
+
+    replays_lists = True
+
+    def _program(self, like: Tensor, params: Params, chosen: Tensor | None) -> tuple[Pass, Tensor]:
+        """The program of images like a batch, and its columns."""
+        raise NotImplementedError(f"{type(self).__name__}._program")
+
+    def _operates_on(self, dtype: torch.dtype) -> bool:
+        return not self._is_customized()
+
+    def _run_list(self, images: Sequence[Tensor], execution: Execution) -> list[Tensor]:
+        like, chosen = like_batch(images), execution.chosen
+        params = self._params_on_device(like, execution, for_users=False)
+        if like.shape[1] != 3:
+            rows = [{name: x[b : b + 1] for name, x in params.items()} for b in range(len(images))]
+            each = [self.apply_transform(x[None], own, self.flags)[0] for x, own in zip(images, rows)]
+            return each if chosen is None else [torch.where(c, y, x) for c, y, x in zip(chosen, each, images)]
+        program, columns = self._program(like, params, chosen)
+        columns_of_all, fill, _, *rest = program.arguments(like, columns)
+        return list(warp_and_color_to_list(images, columns_of_all, fill, False, [], *rest)[: len(images)])
+
+
+class _ScaledChannels(_Channels, keeps_contract=True):
+    """Base of what scales each channel of an image and adds to it."""
+
+    clips: ClassVar[bool]  # the results to [0, 1]
+
+    def factors_and_offsets(self, like: Tensor, params: Params) -> tuple[Tensor, Tensor]:
+        """Numbers (B, C) of the channels of images like a batch."""
+        raise NotImplementedError(f"{type(self).__name__}.factors_and_offsets")
+
+    def apply_transform(
+        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
+    ) -> Tensor:
+        if input.dim() != 4 or input.shape[1] != 3:
+            return self._by_torch(input, params)
+        program, columns = self._program(input, params, None)
+        return program.run(input, columns)[0]
+
+    def _by_torch(self, input: Tensor, params: Params) -> Tensor:
+        raise NotImplementedError(f"{type(self).__name__}._by_torch")
+
+    def _program(self, like: Tensor, params: Params, chosen: Tensor | None) -> tuple[Pass, Tensor]:
+        columns = [*self.factors_and_offsets(like, params)]
+        if chosen is not None:  # samples that are not have an order without steps
+            columns.append(chosen[:, None].to(columns[0]) - 1)
+        step = ColorStep("scale_shift_rgb", *map(Column, range(6)), float(self.clips))
+        part = ColorPart([step], None if chosen is None else [6])
+        return make_pass(None, parts=[part]), torch.cat(columns, 1)
+
+
+class RandomChannelShuffle(_Channels, keeps_contract=True):
     """Put the channels of images in a random order.
 
     Args:
@@ -62,8 +119,25 @@ class RandomChannelShuffle(IntensityAugmentationBase2D, keeps_contract=True):
         planes = input.flatten(0, 1).index_select(0, _planes(input, params["channels"]))
         return planes.view(input.shape)
 
+    def _program(self, like: Tensor, params: Params, chosen: Tensor | None) -> tuple[Pass, Tensor]:
+        """Exchanges of two of three channels, of which a sample has those that make its order, up to two.
 
-class RandomChannelDropout(IntensityAugmentationBase2D, keeps_contract=True):
+        A value that is no finite number becomes NaN in all channels.
+        """
+        orders = ((1, 0, 2), (0, 2, 1), (2, 1, 0))
+        steps = [ColorStep("affine", *[float(i == k) for k in order for i in range(3)]) for order in orders]
+        first, second, third = params["channels"].unbind(1)
+        number = 2 * first + (second > third)  # among all orders
+        number = number if chosen is None else torch.where(chosen, number, 0)
+        columns = constant(_EXCHANGES, like, compute_dtype(like))[number]
+        return make_pass(None, parts=[ColorPart(steps, range(len(steps)))]), columns
+
+
+# Of each order of three channels, from the first one on, the exchanges (0 and 1, 1 and 2, 0 and 2) that make it.
+_EXCHANGES = ((-1, -1, -1), (1, -1, -1), (0, -1, -1), (0, 1, -1), (1, 0, -1), (2, -1, -1))
+
+
+class RandomChannelDropout(_ScaledChannels, keeps_contract=True):
     """Fill random channels with a value.
 
     Args:
@@ -82,7 +156,7 @@ class RandomChannelDropout(IntensityAugmentationBase2D, keeps_contract=True):
         tensor([0., 0., 0.])
     """
 
-    takes_volumes = True
+    takes_volumes, clips = True, False
 
     def __init__(
         self,
@@ -97,9 +171,13 @@ class RandomChannelDropout(IntensityAugmentationBase2D, keeps_contract=True):
         self.fill_value = _check.fraction("RandomChannelDropout", "fill_value", fill_value)
         self._param_generator = ChannelDropoutGenerator(num_drop_channels)
 
-    def apply_transform(
-        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
-    ) -> Tensor:
+    def factors_and_offsets(self, like: Tensor, params: Params) -> tuple[Tensor, Tensor]:
+        kept = torch.ones(like.shape[:2], dtype=compute_dtype(like), device=like.device)
+        kept = kept.scatter(1, params["channel_idx"], 0.0)
+        is_bytes = like.dtype == torch.uint8
+        return kept, (1 - kept) * (round(255 * self.fill_value) / 255 if is_bytes else self.fill_value)
+
+    def _by_torch(self, input: Tensor, params: Params) -> Tensor:
         value = round(255 * self.fill_value) if input.dtype == torch.uint8 else self.fill_value
         dropped = _planes(input, params["channel_idx"])
         return input.flatten(0, 1).index_fill(0, dropped, value).view(input.shape)
@@ -115,7 +193,7 @@ class _UnknownModeError(ValueCheckError, RuntimeError):
     """Kornia raises a RuntimeError."""
 
 
-class RandomPlanckianJitter(IntensityAugmentationBase2D, keeps_contract=True):
+class RandomPlanckianJitter(_ScaledChannels, keeps_contract=True):
     """Change the color of light to that of another temperature.
 
     Args:
@@ -136,7 +214,7 @@ class RandomPlanckianJitter(IntensityAugmentationBase2D, keeps_contract=True):
         True
     """
 
-    accepts_bytes = False
+    clips = True
 
     def __init__(
         self,
@@ -165,13 +243,12 @@ class RandomPlanckianJitter(IntensityAugmentationBase2D, keeps_contract=True):
         self._gains = tuple((red, 1.0, blue) for red, blue in (table[row] for row in rows))
         self._param_generator = PlanckianJitterGenerator((0, len(rows)))
 
-    def apply_transform(
-        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
-    ) -> Tensor:
-        if input.shape[1] != 3:
-            raise ShapeError(
-                f"RandomPlanckianJitter: expected images with 3 channels, got {tuple(input.shape)}"
-                f"{_check.channels_advice(input.shape)}"
-            )
-        gains = constant(self._gains, input, torch.float32)[params["idx"]].to(input.dtype)
-        return clamp(input * gains[..., None, None], 0, 1)
+    def factors_and_offsets(self, like: Tensor, params: Params) -> tuple[Tensor, Tensor]:
+        gains = constant(self._gains, like, compute_dtype(like))[params["idx"]]
+        return gains, torch.zeros_like(gains)
+
+    def _by_torch(self, input: Tensor, params: Params) -> Tensor:
+        raise ShapeError(
+            f"RandomPlanckianJitter: expected images with 3 channels, got {tuple(input.shape)}"
+            f"{_check.channels_advice(input.shape)}"
+        )

@@ -175,8 +175,8 @@ class GeometricAugmentationBase2D(GeometricAugmentation, RigidAffineAugmentation
         return columns.drawn, self._bound(chain, columns.span)
 
     def _find_matrix(self, execution: Execution) -> Tensor:
-        columns, shape = execution.columns, execution.shape
-        if not execution.applied or (columns is None and not self._executes_columns(shape)):
+        columns, is_given = execution.columns, execution.params is not None
+        if not execution.applied or (columns is None and not is_given and not self._executes_columns(execution.shape)):
             return super()._find_matrix(execution)
         like = super()._find_matrix(execution) if columns is None else columns.drawn
         return self._matrix_of(like, execution, self.flags)

@@ -160,7 +160,10 @@ def _list_backward(needs, grads, results, images, columns, fill, warps, sizes, p
         return _differentiate_list_reference(needs, grads, images, columns, fill, warps, sizes, plan, numbers)
     options, of_columns = (*parts.sampling, True, False), None
     if parts.steps or grads[0].dtype != images[0].dtype:
-        sampled = warp_list(images, matrix, fill, lists.sizes(ys), *options) if warps else images
+        if warps and parts.antialias:
+            sampled = resize_windows_list(images, matrix, lists.sizes(ys), parts.sampling[0], parts.sampling[2])
+        else:
+            sampled = warp_list(images, matrix, fill, lists.sizes(ys), *options) if warps else images
         sampled = lists.samples(sampled) if len(images) == 1 and sampled[0].dim() == 4 else [x[None] for x in sampled]
         none, of_each = matrix[:, :0], []
         for b, (g, x) in enumerate(zip(grads, sampled)):
@@ -174,10 +177,16 @@ def _list_backward(needs, grads, results, images, columns, fill, warps, sizes, p
         of_columns = torch.cat([own for _, own, _ in of_each])
     of_images = None
     if needs[0]:
-        of_images = warp_list_backward(grads, matrix, lists.sizes(images), *options) if warps else grads
+        of_images = grads
+        if warps and parts.antialias:
+            of_images = resize_windows_list_backward(
+                grads, matrix, lists.sizes(images), parts.sampling[0], parts.sampling[2]
+            )
+        elif warps:
+            of_images = warp_list_backward(grads, matrix, lists.sizes(images), *options)
     if not needs[1]:
         return of_images, None, None
-    if not warps:
+    if not warps or parts.antialias:  # windows are whole pixels
         return of_images, torch.zeros_like(columns) if of_columns is None else of_columns, None
     each = [
         sampling._warp_matrix_backward(g[None], x[None], lists.row(matrix, b), lists.row(fill, b), None, *options)

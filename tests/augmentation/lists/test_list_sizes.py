@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from augmentation.container.test_list_launches import calls
-from augmentation.test_lists import KEYS, assert_as_alone, assert_same, pictures, seeds_of
+from augmentation.test_lists import KEYS, assert_as_alone, assert_same, comparison, pictures, seeds_of
 from benchmarks.timing import launches
 from kvision import augmentation as A
 
@@ -64,12 +64,13 @@ def test_labels_follow_into_other_sizes(name, device):
     inputs = [images, masks, boxes, [list(range(n)) for n in counts], points]
     augment = A.AugmentationSequential(*ALL[name](), data_keys=KEYS, clip_boxes=True, min_box_area=3.0)
     y, *moved = augment(*inputs, seed=seeds)
+    same = comparison(augment, y[0].device)
     params, matrices = augment._params, augment.transform_matrix
     by_params, back = augment(*inputs, params=params), augment.inverse(y, *moved, params=params)
     for b, x in enumerate(images):
         own = [[value[b]] for value in inputs[1:]]
         of_image, *of_labels = augment(x[None], *own, seed=seeds[b : b + 1])
-        assert torch.equal(y[b], of_image[0]) and torch.equal(by_params[0][b], y[b])
+        assert same(y[b], of_image[0]) and same(by_params[0][b], y[b])
         assert torch.equal(matrices[b], augment.transform_matrix[0])
         inverse = augment.inverse(of_image, *of_labels)
         for of_list, replayed, label, of_back, returned in zip(moved, by_params[1:], of_labels, back[1:], inverse[1:]):
@@ -99,12 +100,13 @@ def test_calls_of_operators(name, backend):
 
 
 @pytest.mark.parametrize("name", ["shorter side", "antialiased", "cut", "pad if needed", "symmetries", "crop"])
-def test_as_many_launches_as_a_batch(name):
+def test_launches_of_a_batch_and_of_matrices(name):
+    """Numbers of each size are drawn by themselves, and matrices made of them."""
     if not torch.cuda.is_available():
         pytest.skip("needs a GPU")
     images = pictures("cuda", [(40 + i % 9, 52 + 4 * (i % 7)) for i in range(300)], torch.uint8)
     batch, augment = torch.stack([x[:, :40, :52] for x in images]), A.ImageSequential(*ALL[name]())
-    assert launches(partial(augment, images)) <= launches(partial(augment, batch))
+    assert launches(partial(augment, images)) <= launches(partial(augment, batch)) + 2
 
 
 def test_what_is_too_small_is_said(device):

@@ -148,8 +148,8 @@ class AugmentationBase(Executor, keeps_contract=True):
             if is_planned and list_plan(self) is not None:
                 y, *_ = execute_list(images, child, context)
             else:
-                replay = self._replay_list(images, params, flags) if labels is None else None
-                if is_planned and params is None and labels is None:
+                replay = self._replay_list(images, params, flags)
+                if is_planned and params is None:
                     run = run_list(images, [child], context)
                 if run is not None:
                     y, child.record = run[0], ListExecution(run[1].of_child(0))

@@ -213,7 +213,7 @@ class Declaration(KeepsArguments):
         chosen = drawn.chosen
         if chosen is None:
             return Columns(values, Span(0, values.shape[1], False))
-        values = torch.where(chosen[:, None] > 0.5, values, self._param_generator.identity(sizes[:1]).to(values))
+        values = torch.where(chosen[:, None] > 0.5, values, self._param_generator.identity(sizes).to(values))
         return Columns(torch.cat([chosen[:, None], values], 1), Span(0, values.shape[1] + 1, True))
 
     def _identity_values(self, shape: Shape, like: Tensor) -> Tensor:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import torch
 from torch import Generator, Tensor
 
+from kvision.augmentation.engine.call_labels import CallLabels
 from kvision.augmentation.engine.chain_executor import ChainExecutor, checked_items
 from kvision.augmentation.engine.configuration import kept
 from kvision.augmentation.engine.list_calls import (
@@ -20,13 +22,14 @@ from kvision.augmentation.engine.list_calls import (
     sizes_after,
 )
 from kvision.augmentation.engine.list_chains import replay_chain, run_chain
-from kvision.augmentation.engine.list_replays import ReplayedParts, replay_list
+from kvision.augmentation.engine.list_replays import ReplayedParts, replay_list, replayed_record
 from kvision.augmentation.engine.list_runs import run_list
 from kvision.augmentation.engine.lists import list_plan
 from kvision.augmentation.engine.record import ParamItem, Record
 from kvision.augmentation.inputs import is_image_list
 from kvision.augmentation.keys import Seed
 from kvision.constants import DataKey
+from kvision.geometry.transform.lists.arguments import largest_shape
 
 
 class ListCaller(ChainExecutor):
@@ -80,12 +83,14 @@ class ListCaller(ChainExecutor):
         """The same of a call whose children are passes over all images; None of others."""
         if not self._runs_lists or not len(self):
             return None
-        if params is not None:
-            return self._replay_list_by_passes(inputs, params) if len(keys) == 1 else None
         if list(keys).count(DataKey.INPUT) != 1:  # others replay the parameters
             return None
-        context = self._context(seed, generator)._replace(has_labels=len(keys) > 1)
-        images = inputs[keys.index(DataKey.INPUT)]
+        if params is not None:
+            return self._replay_list_by_passes(keys, inputs, params)
+        images, labels = inputs[keys.index(DataKey.INPUT)], None
+        if len(keys) > 1 and self._label_settings is not None:
+            labels = CallLabels(keys, inputs, self._label_settings, largest_shape(images), True)
+        context = self._context(seed, generator, labels=labels)
         results: tuple[Any, Parts] | None = None
         if not self._draws_choices:
             results = run_list(images, self._own_children(), context)
@@ -96,19 +101,21 @@ class ListCaller(ChainExecutor):
         y, parts = results
         return self._with_labels_of_list(keys, inputs, self._as_batch(y), parts), Record(parts=parts)
 
-    def _replay_list_by_passes(self, inputs: Sequence[Any], params: list[Any]) -> tuple[list[Any], Record] | None:
+    def _replay_list_by_passes(
+        self, keys: Sequence[DataKey], inputs: Sequence[Any], params: list[Any]
+    ) -> tuple[list[Any], Record] | None:
         """The same with given parameters."""
-        context, (images,) = self._context(None, None), inputs
+        context, images = self._context(None, None), inputs[keys.index(DataKey.INPUT)]
         children = self._children_of_call(params, context)
         self._check_batch_of(children, len(images))
+        record: Callable[..., Record] = partial(replayed_record, children, context)
         y = replay_list(images, children, context)
         if y is None:
-            y = replay_chain(self, images, params, context)
+            y, record = replay_chain(self, images, params, context), self._record_of_part
         if y is None:
             return None
-        return [self._as_batch(y)], Record(
-            parts=ReplayedParts(context.op, images, params, self._record_of_part), items=params
-        )
+        parts = ReplayedParts(context.op, images, params, record)
+        return self._with_labels_of_list(keys, inputs, self._as_batch(y), parts), Record(parts=parts, items=params)
 
     def _as_batch(self, y: Any) -> Any:
         """Results on a list of images as a batch, where the children give all of them one size."""

@@ -22,11 +22,12 @@ from kvision.augmentation.engine.list_runs import (
     count_list_steps,
     find_sized,
     grouped,
+    record_of_run,
     run_list_steps,
     takes_list,
 )
 from kvision.augmentation.engine.passes import Alone, Running, Step, plan_steps
-from kvision.augmentation.engine.record import Child
+from kvision.augmentation.engine.record import Child, Record
 from kvision.augmentation.engine.runs import Call, replayed, runs_of
 from kvision.augmentation.transforms import Transform
 from kvision.geometry.transform.lists.arguments import largest_shape, like_batch
@@ -49,6 +50,16 @@ class ReplayedParts(Parts):
     @property
     def shape(self) -> tuple[int, ...]:
         return self._shape
+
+
+def replayed_record(
+    children: Sequence[Child], context: CallContext, like: Tensor, shape: tuple[int, ...], params: Sequence[Any]
+) -> Record:
+    """The record of a run on images of a shape with the parameters of its children, without running it."""
+    own = [replace(child, params=item.data) for child, item in zip(children, params)]
+    executions, columns = replayed(like.expand(shape), own)
+    of_run = [replace(child, record=execution) for child, execution in zip(own, executions)]
+    return record_of_run(shape, of_run, columns, like, context)
 
 
 class _Replay(NamedTuple):
@@ -176,4 +187,4 @@ def _takes_list(step: Step, modules: Sequence[Any], dtype: torch.dtype) -> bool:
     return takes_list(step, modules, dtype) and (not isinstance(step, Alone) or modules[step.number].replays_lists)
 
 
-__all__ = ["ReplayedParts", "replay_list"]
+__all__ = ["ReplayedParts", "replay_list", "replayed_record"]

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property, lru_cache, partial
 from typing import Any, NamedTuple
 
 import torch
@@ -27,7 +27,7 @@ from kvision.augmentation.engine.execution import Execution, ListExecution, Shap
 from kvision.augmentation.engine.list_calls import SIZES, Parts, refuse_list, seeds_of_list
 from kvision.augmentation.engine.passes import Alone, Joined, Running, Step, plan_steps
 from kvision.augmentation.engine.record import Child, Record
-from kvision.augmentation.engine.runs import Call, RunPlan, decides, plan_run, runs_of
+from kvision.augmentation.engine.runs import Call, RunPlan, decides, plan_run, runs_of, with_derived
 from kvision.augmentation.engine.stages import Chain, Stage
 from kvision.augmentation.keys import Keys
 from kvision.augmentation.noise import PixelNoise
@@ -41,6 +41,7 @@ Size = tuple[int, ...]
 _CORNERS = ((64, 64), (128, 64), (64, 128))  # sizes from which linear functions follow; at the others they are compared
 _ANY = 2  # images of a batch in plans, which do not depend on it
 _SQUARE = (SIZES[0][0], SIZES[0][0])  # may be drawn for in another way
+_KNOWN = 4096  # sizes of which numbers are kept
 _PROBES = (*SIZES, *_CORNERS, _SQUARE, (1, 1), (3, 1000), (641, 427))
 
 
@@ -85,18 +86,16 @@ class SizedNumbers(NamedTuple):
         return torch.tensor(self, dtype=torch.float64, device="cpu")
 
 
-class NumbersOfEach(NamedTuple):
-    """Numbers that are read for the size of each image."""
+class NumbersOfEach:
+    """Numbers that are read for the size of each image, once for those of many images."""
 
-    at_size: Callable[[Size], Sequence[float]]
+    def __init__(self, read: Callable[[Size], Sequence[float]]) -> None:
+        self._at_size = lru_cache(_KNOWN)(read)
 
     def of_each(self, sides: Sequence[int]) -> Tensor:
         """The numbers (B, N) for height and width of each image, float64 on the CPU."""
-        sizes, known = list(zip(sides[::2], sides[1::2])), dict[Size, Sequence[float]]()
-        for size in sizes:
-            if size not in known:
-                known[size] = self.at_size(size)
-        return torch.tensor([known[size] for size in sizes], dtype=torch.float64, device="cpu")
+        numbers = list(map(self._at_size, zip(sides[::2], sides[1::2])))
+        return torch.tensor(numbers, dtype=torch.float64, device="cpu")
 
 
 class _Reading:
@@ -159,6 +158,7 @@ class Sized:
             for of_sizes in zip(*chains)
         ]
         self.count = sum(map(len, self.inputs))
+        self._sizes_after: dict[Size, Callable[[Size], Size]] = {}
 
     def numbers(self, has_draws: bool = True) -> SizedNumbers | NumbersOfEach | None:
         """What depends on the size, as numbers of each image: those of the draws, and then the inputs; None for none."""
@@ -173,6 +173,18 @@ class Sized:
         for chain, inputs in zip(self.reading.chains(size), self.inputs):
             numbers += [chain[i].inputs[k] for i, k in inputs]
         return numbers
+
+    def sizes_after(self, numbers: Sequence[int], images: Sequence[Tensor]) -> list[int]:
+        """Height and width of each image behind augmentations by their numbers."""
+        known = self._sizes_after.setdefault(tuple(numbers), lru_cache(_KNOWN)(partial(self._size_after, numbers)))
+        return [n for x in images for n in known(x.shape)]
+
+    def _size_after(self, numbers: Sequence[int], shape: Size) -> Size:
+        shape = (1, *shape)
+        for number in numbers:
+            module = self.reading.modules[number]
+            shape = module.output_shape(shape, module.flags)
+        return shape[2:]
 
     def bound(self, modules: Sequence[Any], calls: Sequence[Call], columns: int) -> Mapping[int, Sequence[Transform]]:
         """The chains, by the numbers of augmentations, with columns behind `columns` others in place of their inputs."""
@@ -242,6 +254,8 @@ def _make_plan(
     if sized.count:
         listed += [_count_draws(draws) + i for i in range(sized.count)]
         draws = _with_numbers(draws, sized.count)
+    if draws is not None and not draws.plan[0]:  # nothing but a chance, which the host knows
+        draws = None
     if draws is not None and (_count_draws(draws) > MAX_DRAWS or len(draws.numbers) > MAX_NUMBERS):
         return None
     drawn = sized_draws = None
@@ -249,7 +263,8 @@ def _make_plan(
         linear = torch.empty(3, 0, dtype=torch.float64, device="cpu") if numbers is None else numbers.linear()
         sized_draws = SizedDraws(draws, listed, linear)
         first = run.steps[0] if run.steps else None
-        has_list_first = context.owners is None and not sized.sizing and (steps > 1 or not has_one_size)
+        is_drawn_first = context.owners is None and not run.derives and not sized.sizing
+        has_list_first = is_drawn_first and (steps > 1 or not has_one_size)
         if isinstance(first, Joined) and has_list_first:
             drawn = DrawnListPass(draws, listed, linear, first.image_pass, like.shape, like.dtype)
     return _ListPlan(run, steps, sized, draws, listed, numbers, drawn, sized_draws)
@@ -257,8 +272,12 @@ def _make_plan(
 
 def find_sized(modules: Sequence[Any], applied: Sequence[bool], channels: int, context: CallContext) -> Sized | None:
     """What depends on the sizes of images; None for what is no run on a list."""
-    if any(m._derives or m.mixes_samples or not m.takes_lists for m in modules):
+    if any(m.mixes_samples or not m.takes_lists for m in modules):
         return None
+    for number, module in enumerate(modules):
+        moves = not all(m.keeps_positions for m in modules[:number])
+        if module.reads_labels is not None and (module.reads_labels != "boxes" or moves):
+            return None  # labels are read as the call has them
     of_sizes = [own for _, own in _valid(_Reading(modules, applied, _ANY, channels, context).shapes)]
     if any(shape[:2] != (_ANY, channels) for shapes in of_sizes for shape in shapes):
         return None
@@ -367,8 +386,8 @@ class _Call:
         columns, shape = self.columns, (len(rows), self.shape[1], *self.sides[2 * first : 2 * first + 2])
         if columns is not None and len(rows) < len(columns):
             columns = columns.index_select(0, torch.tensor(rows, device="cpu").to(columns.device))
-        executions, of_images = [], shape
-        for module, (_, applies, is_certain, number, span, _) in zip(self.modules, self.plan.run.calls):
+        executions, of_shape = [], shape
+        for module, (_, applies, is_certain, number, span, derived_from) in zip(self.modules, self.plan.run.calls):
             own = None if number is None or span is None or columns is None else Columns(columns, span)
             execution = Execution(shape, own, applied=applies, is_certain=is_certain)
             execution.identity = matrix_type(self.like)
@@ -376,22 +395,14 @@ class _Call:
                 position = self.plan.run.first + number
                 if self._has_noise:
                     execution.noise = self._noise(module, position, first)
-                elif self.keys.seeds is not None and len(rows) == 1 and self.context.owners is None:
+                elif (
+                    self.keys.seeds is not None and len(rows) == 1 and not derived_from and self.context.owners is None
+                ):
                     execution.redraw = (self._keys_of(first), position)
             executions.append(execution)
             shape = module.output_shape(shape, module.flags) if applies else shape
-        steps = plan_steps(self.modules, executions, self.context.once, self.like.dtype, self.context.output)
-        running = Running(self.modules, executions, columns, self.context.has_labels)
-        stages: list[Stage] = []
-        for step in steps:
-            if isinstance(step, Alone):
-                stages.append(running.applied(step.number))
-            elif isinstance(step, Joined) and (stage := step.replayed(self.like, running)) is not None:
-                stages.append(stage)
         children = [Child(*child, None, record) for child, record in zip(zip(self.names, self.modules), executions)]
-        record = Record(of_images, children, Chain(stages))
-        record.size, record.identity = shape[2:], matrix_type(self.like)
-        return record
+        return record_of_run(of_shape, children, columns, self.like, self.context)
 
     def _noise(self, module: Any, number: int, image: int) -> PixelNoise:
         """The source of the noise of an augmentation in an image."""
@@ -401,6 +412,26 @@ class _Call:
         keys = self.keys
         assert keys is not None
         return keys if keys.seeds is None else keys._replace(seeds=row(keys.seeds, image))
+
+
+def record_of_run(
+    shape: Shape, children: Sequence[Child], columns: Tensor | None, like: Tensor, context: CallContext
+) -> Record:
+    """The record of a run on images of a shape, of the type and device of `like`, by the executions of its children."""
+    modules: list[Any] = [child.module for child in children]
+    executions: list[Any] = [child.record for child in children]
+    running = Running(modules, executions, columns, context.has_labels)
+    stages: list[Stage] = []
+    for step in plan_steps(modules, executions, context.once, like.dtype, context.output):
+        if isinstance(step, Alone):
+            stages.append(running.applied(step.number))
+        elif isinstance(step, Joined) and (stage := step.replayed(like, running)) is not None:
+            stages.append(stage)
+    record = Record(shape, children, Chain(stages))
+    for execution, module in zip(executions, modules):
+        shape = module.output_shape(execution.shape, module.flags) if execution.applied else shape
+    record.size, record.identity = shape[2:], matrix_type(like)
+    return record
 
 
 _Samples = tuple[Sequence[int], _Call]  # the numbers of images, and the run of these
@@ -567,14 +598,25 @@ def _execute(
                 columns = _draw(plan, plan.draws, like, keys, sides)
         if columns is not None:
             columns = plan.run.of_owners(columns, context.owners)
-    needs_executions = len(run.steps) > plan.steps or any(isinstance(step, Alone) for step in run.steps)
+    needs_executions = run.derives or len(run.steps) > plan.steps or any(isinstance(s, Alone) for s in run.steps)
     executions = run.executions(like, columns, keys) if needs_executions else []
     for execution in executions:
         execution.shape = (len(images), *execution.shape[1:])
+    if run.derives and columns is not None:
+        width, sized = run.draws[0].plan[0], columns.shape[1]  # the numbers of sizes follow what is derived
+        columns = with_derived(modules, executions, columns, run, context, partial(_sizes_before, plan.sized, images))
+        columns = torch.cat([columns[:, :width], columns[:, sized:], columns[:, width:sized]], 1)
+        executions = run.executions(like, columns, keys)
     running = Running(modules, executions, columns, context.has_labels)
     done = 0 if drawn is None else 1
     x = run_list_steps(x, run.steps[done:], running, plan.steps - done, plan.sized)
     return x, columns, keys, sides
+
+
+def _sizes_before(sized: Sized, images: Sequence[Tensor], number: int) -> Tensor:
+    """Height and width (B, 2) of images before an augmentation of a run."""
+    sizes = torch.tensor(sized.sizes_after(range(number), images), dtype=torch.float32, device="cpu")
+    return sizes.view(-1, 2).to(images[0].device, non_blocking=True)
 
 
 def run_list_steps(x: Any, steps: Sequence[Step], running: Running, of_list: int, sized: Sized) -> Any:
@@ -592,18 +634,6 @@ def run_list_steps(x: Any, steps: Sequence[Step], running: Running, of_list: int
                 x, *_ = warp_and_color_list(x, columns, fill, size, *rest)
             else:
                 changes = any(number in sized.sizing for number in step.geometric)
-                sizes = _sizes_after([running.modules[n] for n in step.geometric], x) if changes else []
+                sizes = sized.sizes_after(step.geometric, x) if changes else []
                 x = list(warp_and_color_to_list(x, columns, fill, len(size) > 0, sizes, *rest)[: len(x)])
     return x
-
-
-def _sizes_after(modules: Sequence[Any], images: Sequence[Tensor]) -> list[int]:
-    """Height and width of each image behind augmentations."""
-    after: dict[Size, Size] = {}
-    for x in images:
-        if x.shape not in after:
-            shape = (1, *x.shape)
-            for module in modules:
-                shape = module.output_shape(shape, module.flags)
-            after[x.shape] = shape[2:]
-    return [n for x in images for n in after[x.shape]]

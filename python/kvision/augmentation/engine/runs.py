@@ -18,7 +18,7 @@ decided once for them.
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -326,7 +326,7 @@ def _execute_run(
             columns, result, links = plan.drawn.draw(x, keys)
         executions, steps = plan.executions(x, columns, keys, context.frames), plan.steps
         if columns is not None and plan.derives:
-            columns = _with_derived(modules, executions, columns, plan, context)
+            columns = with_derived(modules, executions, columns, plan, context)
     running = Running(modules, executions, columns, context.has_labels, result, links)
     if context.source is not None:
         running.result = _read_frames(context.source, x, steps[0], running) if steps else None
@@ -385,23 +385,28 @@ def decides(module: Executor) -> bool:
     return module.whole_batch and 0 < module.p_batch < 1
 
 
-def _with_derived(
+def with_derived(
     modules: Sequence[Executor],
     executions: Sequence[Execution],
     columns: Tensor,
     plan: RunPlan,
     context: CallContext,
+    sizes_before: Callable[[int], Tensor] | None = None,
 ) -> Tensor:
-    """The columns of a run, and behind them those that augmentations derive from the labels that are there before each of them."""
+    """The columns of a run, and behind them those that augmentations derive from the labels that are there before each of them.
+
+    Images of a list have sizes (B, 2) of their own before each augmentation.
+    """
     stages: list[Stage] = []
     parts = [columns]
-    for module, execution, call in zip(modules, executions, plan.calls):
+    for number, (module, execution, call) in enumerate(zip(modules, executions, plan.calls)):
         if call.derived_from is not None:
             labels = None
             if module.reads_labels is not None and context.labels is not None:
                 labels = context.labels.after(stages).read(module.reads_labels, execution.shape, context.frames)
                 labels = labels.to(columns.device) if isinstance(labels, Tensor) else labels
-            drawn, sizes = Columns(columns, call.derived_from), size_of(execution.shape, columns)
+            drawn = Columns(columns, call.derived_from)
+            sizes = size_of(execution.shape, columns) if sizes_before is None else sizes_before(number)
             execution.columns = module._derived(drawn, sizes, labels, context.frames)
             execution.redraw = None  # the host does not know the labels
             parts.append(execution.columns.drawn)

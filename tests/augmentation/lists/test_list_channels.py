@@ -1,0 +1,48 @@
+"""Changes of whole channels of images in lists: what each image becomes alone, by one program."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from augmentation.test_lists import SMALL, assert_as_alone, pictures
+from kvision import augmentation as A
+
+CHANGES = {
+    "dropped": lambda p: A.RandomChannelDropout(p=p),
+    "filled": lambda p: A.RandomChannelDropout(2, 0.3, p=p),
+    "light": lambda p: A.RandomPlanckianJitter("CIED", p=p),
+    "order": lambda p: A.RandomChannelShuffle(p=p),
+}
+
+
+@pytest.mark.parametrize("p", [0.6, 1.0])
+@pytest.mark.parametrize("dtype", [torch.uint8, torch.float16, torch.float32, torch.float64], ids=str)
+@pytest.mark.parametrize("name", CHANGES)
+def test_channels_of_a_list(name, dtype, p, device):
+    augment, images = CHANGES[name](p), pictures(device, SMALL, dtype)
+    assert_as_alone(augment, images)
+    assert_as_alone(A.ImageSequential(A.RandomHorizontalFlip(), augment, A.RandomInvert()), images)
+
+
+def test_other_numbers_of_channels(device):
+    for name in ("dropped", "order"):
+        assert_as_alone(CHANGES[name](0.6), [torch.rand(4, *size, device=device) for size in SMALL])
+
+
+def test_all_orders_of_channels(device):
+    images = [torch.tensor([0.1, 0.2, 0.3], device=device).view(3, 1, 1).expand(3, 4, 5 + i % 2) for i in range(64)]
+    results = A.RandomChannelShuffle(p=1.0)(images, seed=torch.arange(64, device=device))
+    assert len({tuple(y[:, 0, 0].tolist()) for y in results}) == 6
+
+
+def test_gradients_of_channels(device):
+    images = [x.requires_grad_() for x in pictures(device, SMALL)]
+    for name in ("filled", "order"):
+        augment, seeds = CHANGES[name](0.6), torch.arange(len(images), device=device)
+        gradients = torch.autograd.grad(
+            sum((k * y).sum() for k, y in enumerate(augment(images, seed=seeds), 1)), images
+        )
+        for b, x in enumerate(images):
+            alone = (b + 1) * augment(x[None], seed=seeds[b : b + 1]).sum()
+            assert torch.allclose(gradients[b], torch.autograd.grad(alone, x)[0])

@@ -1,0 +1,98 @@
+"""Windows that follow from boxes, of images in lists whose results keep their sizes: those of each image alone."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from augmentation.container.test_list_launches import calls
+from augmentation.test_lists import SMALL, assert_as_alone, assert_same, comparison, pictures, seeds_of
+from kvision import augmentation as A
+from kvision.augmentation.engine.list_runs import ListParts
+
+pytestmark = pytest.mark.filterwarnings("ignore:.*this call has no boxes")
+
+WINDOWS = {
+    "overlap": lambda: A.RandomIoUCrop(p=0.7),
+    "overlap without antialias": lambda: A.RandomIoUCrop(antialias=False),
+    "near": lambda: A.RandomCropNearBBox(p=0.7),
+    "zoom out": lambda: A.RandomZoomOut(antialias=False),
+}
+
+
+def labels(device):
+    return [torch.rand(n, 4, device=device).cumsum(1) * 5 for n in (2, 0, 1, 3)]
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.uint8], ids=str)
+@pytest.mark.parametrize("name", WINDOWS)
+def test_windows_of_a_list(name, dtype, device):
+    augment, images = WINDOWS[name](), pictures(device, SMALL, dtype)
+    assert_as_alone(augment, images)
+    if augment.reads_labels is None:
+        return
+    boxes, seeds = labels(device), seeds_of(images)
+    results, same = augment(images, seed=seeds, boxes=boxes), comparison(augment, images[0].device)
+    again = augment(images, params=augment._params)
+    for b, x in enumerate(images):
+        alone = augment(x[None], seed=seeds[b : b + 1], boxes=[boxes[b]])[0]
+        assert same(results[b], alone) and same(again[b], alone)
+
+
+PIPELINES = {
+    "first": lambda crop: (crop, A.RandomHorizontalFlip(), A.SmallestMaxSize(20)),
+    "behind colors": lambda crop: (A.ColorJitter(0.2, 0.2), crop, A.RandomAffine(10.0)),
+    "before a crop": lambda crop: (crop, A.SmallestMaxSize(20), A.RandomCrop((12, 14)), A.RandomInvert()),
+}
+
+
+@pytest.mark.parametrize("pipeline", PIPELINES)
+@pytest.mark.parametrize("name", WINDOWS)
+def test_pipelines_of_detectors(name, pipeline, device):
+    augment = A.AugmentationSequential(*PIPELINES[pipeline](WINDOWS[name]()), data_keys=["input", "bbox_xyxy", "mask"])
+    images, boxes = pictures(device, SMALL), labels(device)
+    masks, seeds = [(x[:1] > 0.5).byte() for x in images], seeds_of(images)
+    results, moved, of_masks = augment(images, boxes, masks, seed=seeds)
+    assert type(augment._record.parts) is ListParts
+    same = comparison(augment, images[0].device)
+    again = augment(images, boxes, masks, params=augment._params)
+    for b, x in enumerate(images):
+        y, own, mask = augment(x[None], [boxes[b]], [masks[b]], seed=seeds[b : b + 1])
+        assert same(results[b], y[0]) and same(again[0][b], y[0])
+        for of_list, replayed, alone in zip((moved, of_masks), again[1:], (own, mask)):
+            assert_same(of_list[b], alone[0])
+            assert_same(replayed[b], alone[0])
+
+
+def test_windows_behind_what_moves_boxes(device):
+    """Boxes are then those of each image at that step."""
+    augment = A.AugmentationSequential(
+        A.RandomHorizontalFlip(), A.RandomIoUCrop(), A.RandomCropNearBBox(), data_keys=["input", "bbox_xyxy"]
+    )
+    images, boxes = pictures(device, SMALL), labels(device)
+    seeds = seeds_of(images)
+    results, moved = augment(images, boxes, seed=seeds)
+    for b, x in enumerate(images):
+        y, own = augment(x[None], [boxes[b]], seed=seeds[b : b + 1])
+        assert torch.equal(results[b], y[0]) and torch.equal(moved[b], own[0])
+
+
+def test_gradients_of_antialiased_windows(device):
+    for augment in (A.RandomIoUCrop(), A.ImageSequential(A.RandomIoUCrop(), A.ColorJitter(0.2, 0.2, p=1.0))):
+        images = [x.requires_grad_() for x in pictures(device, SMALL)]
+        seeds, boxes = seeds_of(images), labels(device)
+        options = {"boxes": boxes} if isinstance(augment, A.RandomIoUCrop) else {}
+        gradients = torch.autograd.grad(sum(y.square().sum() for y in augment(images, seed=seeds, **options)), images)
+        for b, x in enumerate(images):
+            own = {"boxes": [boxes[b]]} if options else {}
+            alone = augment(x[None], seed=seeds[b : b + 1], **own).square().sum()
+            assert torch.allclose(gradients[b], torch.autograd.grad(alone, x)[0], atol=1e-4)
+
+
+@pytest.mark.parametrize("name", WINDOWS)
+def test_calls_of_operators(name, backend):
+    if backend == "reference":
+        pytest.skip("this test is about the kernels")
+    images = pictures("cpu", [(24 + i % 17, 45 - i % 19) for i in range(40)])
+    augment = A.ImageSequential(A.RandomInvert(), WINDOWS[name](), A.ColorJitter(0.2, 0.2))
+    assert calls(augment, images, seed=seeds_of(images)) <= 4

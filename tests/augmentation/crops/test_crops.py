@@ -266,6 +266,40 @@ def test_views_by_one_kernel_are_those_of_each(dtype, layout, device: torch.devi
     assert len(together) == len(each) == 5 and all(torch.equal(a, b) for a, b in zip(together, each))
 
 
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64, torch.uint8, torch.float16])
+@pytest.mark.parametrize("antialias", [True, False])
+def test_views_of_a_list_are_those_of_each_image(antialias, dtype, device: torch.device) -> None:
+    crop, seeds = A.MultiCrop(12, (6, 8), local_crops=3, antialias=antialias), torch.arange(5, device=device) + 3
+    images = [(255 * torch.rand(3, 30 + 3 * i, 41 - 2 * i, device=device)).to(dtype) for i in range(5)]
+    views_of_list = crop(images, seed=seeds)
+    assert [v.shape for v in views_of_list] == [(5, 3, 12, 12)] * 2 + [(5, 3, 6, 8)] * 3
+    for b, x in enumerate(images):
+        alone = crop(x[None], seed=seeds[b : b + 1])
+        for of_list, view in zip(views_of_list, alone, strict=True):
+            if device.type == "cpu" or not antialias:
+                assert torch.equal(of_list[b], view[0])
+            else:  # kernels of CUDA add in another order
+                atol = 0.25 if dtype == torch.float16 else 1 if dtype == torch.uint8 else 1e-2
+                torch.testing.assert_close(of_list[b], view[0], rtol=0, atol=atol)
+    equal = torch.stack([x[:, :30, :30] for x in images])
+    pairs = [(crop(list(equal), seed=seed), crop(equal, seed=seed)) for seed in (7, seeds)]
+    pairs.append(tuple(crop(x, generator=torch.Generator().manual_seed(1)) for x in (list(equal), equal)))
+    for of_list, of_batch in pairs:
+        for a, b in zip(of_list, of_batch, strict=True):
+            torch.testing.assert_close(a.float(), b.float(), rtol=0, atol=0 if device.type == "cpu" else 1)
+    with pytest.raises(ValueError, match="MultiCrop: expected .*seeds of 5 samples, got 3"):
+        crop(images, seed=seeds[:3])
+
+
+def test_gradients_of_views_of_a_list(device: torch.device) -> None:
+    crop, seeds = A.MultiCrop(12, 6, local_crops=2), torch.arange(3, device=device)
+    images = [torch.rand(3, 20 + i, 31 - i, device=device, requires_grad=True) for i in range(3)]
+    gradients = torch.autograd.grad(sum(v.square().sum() for v in crop(images, seed=seeds)), images)
+    for b, x in enumerate(images):
+        alone = sum(v.square().sum() for v in crop(x[None], seed=seeds[b : b + 1]))
+        assert torch.allclose(gradients[b], torch.autograd.grad(alone, x)[0], atol=1e-5)
+
+
 @pytest.mark.native
 def test_windows_outside_of_images_are_moved_inside(device: torch.device) -> None:
     images = torch.arange(24.0, device=device).reshape(1, 1, 4, 6)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import torch
-from torch import Tensor, nn
+from torch import Generator, Tensor, nn
 
 from kvision import _check
 from kvision._dtype import compute_dtype
@@ -12,14 +12,14 @@ from kvision.augmentation.columns import Column, DrawPlan, plan_draws
 from kvision.augmentation.drawn_links import DrawnLinks
 from kvision.augmentation.draws import Request
 from kvision.augmentation.inputs import parse_size
-from kvision.augmentation.keys import Keys, draw_keys
-from kvision.augmentation.maps import warp
+from kvision.augmentation.keys import Keys, Seed, check_seeds, draw_keys
+from kvision.augmentation.maps import warp, warp_each
 from kvision.augmentation.random_generator.crop import ResizedCropGenerator
 from kvision.augmentation.ranges import Numbers
 from kvision.augmentation.transforms import MatrixPlan, Transform
 from kvision.augmentation.warp_and_color import Resampling
-from kvision.core.exceptions import ValueCheckError
-from kvision.geometry.transform.lists.arguments import check_list
+from kvision.core.exceptions import TypeCheckError, ValueCheckError
+from kvision.geometry.transform.lists.arguments import check_list, like_batch, unchecked_list
 from kvision.geometry.transform.resize_windows import resized_views, resized_windows
 
 __all__ = ["FiveCrop", "MultiCrop", "TenCrop"]
@@ -104,7 +104,8 @@ class MultiCrop(nn.Module):
     """Cut several windows out of every image, large and small ones, and resize them: the views of self-supervised training.
 
     The windows of all views of every sample are drawn together, as those of :class:`RandomResizedCrop`, and each view is a
-    resampling of the images, which are not copied for it. Edges of windows go to edges of views.
+    resampling of the images, which are not copied for it. Edges of windows go to edges of views. With a seed of each image the
+    views of a list are those of each image alone.
 
     Args:
         global_size: height and width of large views; an int for both.
@@ -149,15 +150,27 @@ class MultiCrop(nn.Module):
         self.local_generator = ResizedCropGenerator(parse_size(op, local_size), local_scale, ratio)
         self.antialias = _check.switch(op, "antialias", antialias)
 
-    def forward(self, input: Tensor) -> list[Tensor]:
-        """The views of images (B, C, H, W): first the large ones, then the small ones, each (B, C, h, w)."""
-        _check.images("MultiCrop", "input", input)
-        generators = [g for n, g in zip(self.counts, (self.global_generator, self.local_generator)) for _ in range(n)]
-        keys = draw_keys("MultiCrop", len(generators), input.device, None, None)
-        plans = plan_draws([Request(generator.draws(tuple(input.shape))) for generator in generators], False)
+    def forward(
+        self, input: Tensor | list[Tensor], *, seed: Seed = None, generator: Generator | None = None
+    ) -> list[Tensor]:
+        """The views of images: first the large ones, then the small ones, each (B, C, h, w).
+
+        Args:
+            input: images (B, C, H, W), or a list of images (C, H, W) of different sizes.
+            seed: an int, or int64 (B,) with one of a sample, from which all windows follow; torch's generator is not used.
+            generator: draws the windows of this call; default: torch's.
+        """
+        op, generators = "MultiCrop", self._generators()
+        if isinstance(input, list):
+            return self._views_of_list(unchecked_list(op, "input", input), seed, generator)
+        _check.images(op, "input", input)
+        keys = draw_keys(op, len(generators), input.device, seed, generator)
+        if keys.seeds is not None:
+            check_seeds(op, keys, len(input))
+        plans = plan_draws([Request(own.draws(tuple(input.shape))) for own in generators], keys.has_seed)
         if len(plans) == 1 and plans[0].learned is None and self.antialias and resized_views.serves(input):
             return self._views(input, plans[0], keys)
-        sizes, matrices = [generator.output_size for generator in generators], list[Tensor]()
+        sizes, matrices = [own.output_size for own in generators], list[Tensor]()
         for draws in plans:
             chains = []
             for (h, w), span in zip(sizes[len(matrices) :], draws.spans):
@@ -179,6 +192,36 @@ class MultiCrop(nn.Module):
                 boxes = columns.as_strided((len(x), count, 4), (columns.stride(0), apart, 1), spans[0].first)
                 size = list(generator.output_size)
                 views += resized_views.kernel(x, boxes, size, INTERPOLATION["bilinear"]).chunk(count)
+        return views
+
+    def _generators(self) -> list[ResizedCropGenerator]:
+        """That of each view."""
+        return [g for n, g in zip(self.counts, (self.global_generator, self.local_generator)) for _ in range(n)]
+
+    def _views_of_list(self, images: list[Tensor], seed: Seed, generator: Generator | None) -> list[Tensor]:
+        """One launch for the draws, and one for up to 512 views of a size."""
+        op, generators, like = "MultiCrop", self._generators(), like_batch(images)
+        if not like.is_floating_point() and like.dtype != torch.uint8:
+            raise TypeCheckError(f"{op}: expected a list of bytes or floats, got {like.dtype}")
+        keys = draw_keys(op, len(generators), like.device, seed, generator)
+        if keys.seeds is not None:
+            check_seeds(op, keys, len(images))
+        requests = [[Request(own.draws(x.shape)) for own in generators] for x in check_list(op, "input", images)]
+        plans, first = plan_draws(requests[0], keys.has_seed), 0
+        windows, views = list[Tensor](), list[Tensor]()
+        for draws in plans:
+            own = range(first, first + len(draws.spans))
+            numbers = [n for of_image in requests for i in own for draw in of_image[i].draws for n in draw.numbers]
+            columns = draws.draw_list(like, keys, range(len(own)), numbers)
+            windows += [columns[:, span.first : span.first + 4] for span in draws.spans]
+            first += len(own)
+        resampling = Resampling("bilinear", "border", False, None, self.antialias)
+        for count, own_generator in zip(self.counts, (self.global_generator, self.local_generator)):
+            if count:
+                (h, w), of_views = own_generator.output_size, torch.cat(windows[len(views) : len(views) + count])
+                chain = MatrixPlan([Transform("crop", *map(Column, range(4)), float(w), float(h), 0.0)])
+                matrices = chain.matrix(of_views.to(compute_dtype(like)))
+                views += warp_each(images * count, matrices, [h, w], resampling)[0].chunk(count)
         return views
 
     def _view(self, x: Tensor, matrix: Tensor, size: tuple[int, int]) -> Tensor:

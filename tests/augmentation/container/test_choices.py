@@ -402,3 +402,25 @@ def test_bytes_beside_floats_are_255ths():
     rows = SampleRows(torch.full((3, 1, 2, 2), 255, dtype=torch.uint8))
     rows.put([1], torch.full((1, 1, 2, 2), 0.5))
     assert rows.take(range(3))[:, 0, 0, 0].tolist() == [1.0, 0.5, 1.0]
+
+
+def test_an_empty_batch_gets_the_size_of_samples(device) -> None:
+    """With its parameters, its labels and its inverse."""
+    crops = A.RandomCrop((8, 9)), A.CenterCrop((8, 9))
+    for augment in (
+        A.OneOf(*crops),
+        A.SomeOf(*crops, n=1),
+        A.RandomApply(crops[0], p=1.0),
+        A.RandomOrder(A.RandomHorizontalFlip(), crops[1]),
+        A.ImageSequential(*crops, random_apply=1),
+        A.ImageSequential(A.OneOf(*crops), A.RandomInvert()),
+        A.ImageSequential(A.OneOf(A.RandomAffine(9.0), A.RandomRotation(9.0), A.ColorJitter(0.2)), crops[0]),
+    ):
+        for seed in (None, 3, torch.empty(0, dtype=torch.int64, device=device)):
+            x = torch.rand(0, 3, 16, 20, device=device)
+            y = augment(x, seed=seed)
+            assert y.shape == (0, 3, 8, 9) and augment.transform_matrix.shape == (0, 3, 3)
+            assert augment(x, params=augment._params).shape == y.shape and augment.inverse(y).shape == x.shape
+        labeled = A.AugmentationSequential(augment, data_keys=["input", "bbox_xyxy", "mask"])
+        boxes, masks = torch.rand(0, 2, 4, device=device), torch.rand(0, 1, 16, 20, device=device)
+        assert [tuple(z.shape) for z in labeled(x, boxes, masks)] == [(0, 3, 8, 9), (0, 2, 4), (0, 1, 8, 9)]

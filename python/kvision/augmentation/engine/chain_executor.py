@@ -192,7 +192,9 @@ class ChainExecutor(ImageSequentialBase):
         if not self._chooses_for_samples(context):
             return None
         frames = max(context.time, context.frames, 1)
-        sequences = self._sequences_of_samples(context, len(x) // frames)
+        # An empty batch gets the size that a sample would get.
+        seeds = context if len(x) else context._replace(seed=torch.zeros(1, dtype=torch.int64, device="cpu"))
+        sequences = self._sequences_of_samples(seeds, len(x) // frames or 1)
         units = self._units(self._own_children())
         return turns_of(units, sequences, frames, context.position), context
 

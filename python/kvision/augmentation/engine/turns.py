@@ -97,6 +97,13 @@ def execute_turns(x: Tensor, turns: Sequence[Turn], context: CallContext) -> tup
     rows, batch = SampleRows(x), len(x)
     stages: list[Stage] = []
     executed: list[Child] = []
+    for turn in turns if not batch else ():
+        children = [replace(child, samples=[], batch=0) for child in turn.children]
+        own = context._replace(output=SAME, labels=None)
+        x, done = execute(x, children if turn.parts is None else children[:1], own, turn.position)
+        stages, executed = [*stages, *done], [*executed, *children]
+    if not batch:
+        return context.converted(x), stages, executed
     for turn in turns:
         for samples in rows.by_size(turn.samples):
             labels = context.labels
@@ -118,7 +125,7 @@ def execute_turns(x: Tensor, turns: Sequence[Turn], context: CallContext) -> tup
         raise ShapeError(
             f"{context.op}: expected children that give all samples one size, got {sizes[0]} and {sizes[1]}"
         )
-    y = context.converted(rows.take(range(batch)) if batch else x)
+    y = context.converted(rows.take(range(batch)))
     has_parts = any(isinstance(stage, SomeSamples) for stage in stages)
     return y, [Turns(stages)] if has_parts else stages, executed
 

@@ -77,6 +77,21 @@ def test_windows_behind_what_moves_boxes(device):
         assert torch.equal(results[b], y[0]) and torch.equal(moved[b], own[0])
 
 
+def test_windows_of_one_size_behind_colors(device):
+    images, boxes = pictures(device, SMALL), labels(device)
+    seeds = seeds_of(images)
+    for crop in (A.RandomSizedBBoxSafeCrop(10, 12), A.AtLeastOneBBoxRandomCrop(10, 12)):
+        augment = A.AugmentationSequential(A.RandomInvert(), crop, data_keys=["input", "bbox_xyxy"])
+        results, moved = augment(images, boxes, seed=seeds)
+        same = comparison(augment, images[0].device)
+        for b, x in enumerate(images):
+            y, own = augment(x[None], [boxes[b]], seed=seeds[b : b + 1])
+            assert same(results[b], y[0]) and torch.equal(moved[b], own[0])
+    small = [*images, torch.rand(3, 9, 30, device=device)]
+    with pytest.raises(ValueError, match=r"expected images of at least \(10, 12\), got \(9, 30\)"):
+        augment(small, [*boxes, boxes[1]])
+
+
 def test_gradients_of_antialiased_windows(device):
     for augment in (A.RandomIoUCrop(), A.ImageSequential(A.RandomIoUCrop(), A.ColorJitter(0.2, 0.2, p=1.0))):
         images = [x.requires_grad_() for x in pictures(device, SMALL)]

@@ -141,6 +141,7 @@ class Sized:
     def __init__(self, reading: _Reading, own: int, sizing: Sequence[int]) -> None:
         self.reading, self.own, self.sizing = reading, own, sizing
         probes = _valid(reading.draws)
+        self.may_be_too_small = len(probes) < len(_PROBES)  # images, which reading says
         draws = [own for _, own in probes]
         self.has_same_draws = all([_kind(a) for a in own] == [_kind(a) for a in draws[0]] for own in draws)
         self.draws = [i for i, (first, *others) in enumerate(zip(*draws)) if any(a != first for a in others)]
@@ -162,7 +163,7 @@ class Sized:
 
     def numbers(self, has_draws: bool = True) -> SizedNumbers | NumbersOfEach | None:
         """What depends on the size, as numbers of each image: those of the draws, and then the inputs; None for none."""
-        if not self.count and not (has_draws and self.draws):
+        if not self.count and not (has_draws and (self.draws or self.may_be_too_small)):
             return None
         read = partial(self._numbers, has_draws)
         return SizedNumbers.of(read) or NumbersOfEach(read)
@@ -338,6 +339,8 @@ def _draw(plan: _ListPlan, draws: DrawPlan, like: Tensor, keys: Keys, sides: Seq
         numbers = [n for size in zip(sides[::2], sides[1::2]) for n in plan.numbers.at(*size)]
     else:
         numbers = plan.numbers.of_each(sides).flatten().tolist()
+    if not plan.listed:
+        return draws.draw(like, keys)
     return draws.draw_list(like, keys, plan.listed, numbers)
 
 

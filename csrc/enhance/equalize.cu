@@ -1,8 +1,9 @@
 // Histogram equalization on CUDA. A plane of up to half a million pixels is read once: the blocks of a cluster, or one
 // block, count its levels, keep them as bytes in shared memory and map them with the table. Larger planes are counted
-// by several blocks and read again.
+// by several blocks and read again. A block of a list finds its sample in the table.
 #include "byte_histogram.cuh"
 #include "core/cluster.cuh"
+#include "core/stencils/filter_list.cuh"
 #include "equalize.h"
 
 namespace kv::enhance::cuda {
@@ -113,13 +114,12 @@ __device__ __forceinline__ T change_of_plane(bool changes, bool has_nan) {
 }
 
 // A block processes `each` pixels of a plane, and a cluster of `parts` blocks the whole plane.
-template <class T, int P>
-__global__ void __launch_bounds__(kThreads, kBlocks<T>) equalize_parts(Equalize<T> p, unsigned parts, int each) {
-  using F = Compute<T>;
+template <int P, class T>
+__device__ __forceinline__ void equalize_part(Equalize<T> const& p, unsigned block, unsigned parts, int each) {
   extern __shared__ __align__(16) unsigned char memory[];
   __shared__ int32_t totals[kLevels];
   Counter const counter{reinterpret_cast<int32_t*>(memory)};
-  unsigned const plane = blockIdx.x / parts, part = blockIdx.x - plane * parts;
+  unsigned const plane = block / parts, part = block - plane * parts;
   T const* const x = p.x.plane(plane);
   int const begin = int(part) * each, end = min(begin + each, int(p.x.width)), t = int(threadIdx.x);
   AlignedBody<P, int> const body(x, begin, end);
@@ -155,7 +155,7 @@ __global__ void __launch_bounds__(kThreads, kBlocks<T>) equalize_parts(Equalize<
   int counted;
   bool const changes = make_table<T>(count, p.opencv, memory, counted);
   Table<T> const table{reinterpret_cast<typename Table<T>::Value*>(memory)};
-  if (part == 0 && t == 0) p.changed[plane] = change_of_plane<T>(changes, counted < p.x.width);
+  if (part == 0 && t == 0 && p.changed) p.changed[plane] = change_of_plane<T>(changes, counted < p.x.width);
 
   if (has_nan || !changes) {  // a byte cannot represent NaN
     map_pixels<P>(p, plane, begin, end, changes, table);
@@ -175,13 +175,33 @@ __global__ void __launch_bounds__(kThreads, kBlocks<T>) equalize_parts(Equalize<
   if (parts > 1) cluster_wait();
 }
 
-// Chunks of planes, `each` pixels per block.
+// Pixels of a plane that each of the blocks of a cluster processes.
+KV_HD int pixels_of_part(int64_t pixels, unsigned parts) {
+  return int(ceil_div(ceil_div(pixels, int64_t(parts)), int64_t(16)) * 16);
+}
+
 template <class T, int P>
-__global__ void __launch_bounds__(kThreads, kBlocks<T>) count_levels(Equalize<T> p, unsigned chunks, int each) {
+__global__ void __launch_bounds__(kThreads, kBlocks<T>) equalize_parts(Equalize<T> p, unsigned parts, int each) {
+  equalize_part<P>(p, blockIdx.x, parts, each);
+}
+
+template <class T, int P>
+__global__ void __launch_bounds__(kThreads, kBlocks<T>)
+    equalize_parts_of_list(__grid_constant__ EqualizeList<T> const p, unsigned parts) {
+  unsigned block;
+  Equalize<T> const* const one = sample_of_block(p, block);  // the same one for the blocks of a cluster
+  if (!one) return;
+  Equalize<T> const flat = flat_sample(*one);
+  equalize_part<P>(flat, block, parts, pixels_of_part(flat.x.width, parts));
+}
+
+// Chunks of planes, `each` pixels per block.
+template <int P, class T>
+__device__ __forceinline__ void count_chunk(Equalize<T> const& p, unsigned block, unsigned chunks, int each) {
   __shared__ __align__(16) int32_t counts[Counter::kSize];
   Counter const counter{counts};
-  unsigned const plane = blockIdx.x / chunks;
-  int64_t const begin = int64_t(blockIdx.x % chunks) * each;
+  unsigned const plane = block / chunks;
+  int64_t const begin = int64_t(block % chunks) * each;
   int const end = int(min(begin + each, p.x.width));
   counter.clear<kThreads>();
   __syncthreads();
@@ -193,18 +213,41 @@ __global__ void __launch_bounds__(kThreads, kBlocks<T>) count_levels(Equalize<T>
   if (threadIdx.x < kLevels) atomicAdd(p.counts + int64_t(plane) * kLevels + threadIdx.x, counter[threadIdx.x]);
 }
 
-template <class T, int P>
-__global__ void __launch_bounds__(kThreads, kBlocks<T>) map_levels(Equalize<T> p, unsigned chunks, int each) {
-  using F = Compute<T>;
+template <int P, class T>
+__device__ __forceinline__ void map_chunk(Equalize<T> const& p, unsigned block, unsigned chunks, int each) {
   __shared__ __align__(16) unsigned char memory[kCountBytes];
-  unsigned const plane = blockIdx.x / chunks;
-  int64_t const begin = int64_t(blockIdx.x % chunks) * each;
+  unsigned const plane = block / chunks;
+  int64_t const begin = int64_t(block % chunks) * each;
   int const count = threadIdx.x < kLevels ? p.counts[int64_t(plane) * kLevels + threadIdx.x] : 0;
   int counted;
   bool const changes = make_table<T>(count, p.opencv, memory, counted);
-  if (begin == 0 && threadIdx.x == 0) p.changed[plane] = change_of_plane<T>(changes, counted < p.x.width);
+  if (begin == 0 && threadIdx.x == 0 && p.changed) p.changed[plane] = change_of_plane<T>(changes, counted < p.x.width);
   map_pixels<P>(p, plane, int(begin), int(min(begin + each, p.x.width)), changes,
                 Table<T>{reinterpret_cast<typename Table<T>::Value*>(memory)});
+}
+
+template <class T, int P>
+__global__ void __launch_bounds__(kThreads, kBlocks<T>) count_levels(Equalize<T> p, unsigned chunks, int each) {
+  count_chunk<P>(p, blockIdx.x, chunks, each);
+}
+template <class T, int P>
+__global__ void __launch_bounds__(kThreads, kBlocks<T>) map_levels(Equalize<T> p, unsigned chunks, int each) {
+  map_chunk<P>(p, blockIdx.x, chunks, each);
+}
+
+// The first or the second pass over the planes of a list.
+template <class T, int P, bool Maps>
+__global__ void __launch_bounds__(kThreads, kBlocks<T>)
+    equalize_chunks_of_list(__grid_constant__ EqualizeList<T> const p, int each) {
+  unsigned block;
+  Equalize<T> const* const one = sample_of_block(p, block);
+  if (!one) return;
+  Equalize<T> const flat = flat_sample(*one);
+  unsigned const chunks = unsigned(ceil_div(flat.x.width, int64_t(each)));
+  if constexpr (Maps)
+    map_chunk<P>(flat, block, chunks, each);
+  else
+    count_chunk<P>(flat, block, chunks, each);
 }
 
 // The gradient is read only where it passes: nowhere, for most planes.
@@ -241,11 +284,12 @@ __global__ void __launch_bounds__(kThreads) equalize_gradients(EqualizeBackward<
   for_each_vector<kThreads, P>(source.plane(plane), source.step, int(begin), end, store_gradients);
 }
 
+// Pixels of a chunk: few enough for several blocks on every multiprocessor, so many that the tables cost little.
+int64_t pixels_of_chunk(int64_t all) { return clamp(all >> 10, int64_t(8) << 10, int64_t(64) << 10) / 4096 * 4096; }
+
 template <int P, class T>
 int equalize_in_chunks(Equalize<T> const& p, CUstream_st* stream) {
-  int64_t const planes = p.x.count(), pixels = p.x.width;
-  // Small enough for several blocks on every multiprocessor, large enough that the tables cost little.
-  int64_t const each = clamp((planes * pixels) >> 10, int64_t(8) << 10, int64_t(64) << 10) / 4096 * 4096;
+  int64_t const planes = p.x.count(), pixels = p.x.width, each = pixels_of_chunk(planes * pixels);
   unsigned const chunks = unsigned(ceil_div(pixels, each)), blocks = unsigned(planes) * chunks;
   if (int const error = cudaMemsetAsync(p.counts, 0, planes * kLevels * sizeof(int32_t), stream)) return error;
   count_levels<T, P><<<blocks, kThreads, 0, stream>>>(p, chunks, int(each));
@@ -253,24 +297,68 @@ int equalize_in_chunks(Equalize<T> const& p, CUstream_st* stream) {
   return cudaGetLastError();
 }
 
+// How planes are divided, `planes` of them with so many pixels at most, among the blocks of clusters.
+struct Division {
+  int parts, each;
+  bool by_clusters;  // otherwise by chunks
+
+  Division(int64_t planes, int64_t pixels, bool has_clusters) : parts(1) {
+    int const most_parts = has_clusters ? kMaxClusterSize : 1;
+    int64_t const max_pixels = min(kMaxPixels, max_shared_bytes() - kCountBytes - 4096);
+    while (parts < most_parts && ceil_div(pixels, parts) > max_pixels) parts *= 2;
+    // Few planes use all multiprocessors if each is split further; fewer still if they are split into chunks.
+    while (parts < most_parts && planes * parts < 2 * multiprocessors() && pixels / parts > 8 << 10) parts *= 2;
+    each = pixels_of_part(pixels, unsigned(parts));
+    bool const few = planes * parts < (most_parts == 1 ? 64 : multiprocessors()) && pixels > 16 << 10;
+    // Special case, H200: 1.34 (equalize) to 1.58 (equalize_opencv) times as fast as two passes.
+    by_clusters = !few && each <= max_pixels;
+  }
+};
+
 template <int P, class T>
 int equalize_planes(Equalize<T> const& p, CUstream_st* stream) {
-  int64_t const planes = p.x.count(), pixels = p.x.width;
-  int const most_parts = supports_clusters(equalize_parts<T, P>) ? kMaxClusterSize : 1;
-  int parts = 1;
-  int64_t const max_pixels = min(kMaxPixels, max_shared_bytes() - kCountBytes - 4096);
-  while (parts < most_parts && ceil_div(pixels, parts) > max_pixels) parts *= 2;
-  // Few planes use all multiprocessors if each is split further; fewer still if they are split into chunks.
-  while (parts < most_parts && planes * parts < 2 * multiprocessors() && pixels / parts > 8 << 10) parts *= 2;
-  int64_t const each = ceil_div(ceil_div(pixels, parts), 16) * 16;
-  bool const few = planes * parts < (most_parts == 1 ? 64 : multiprocessors()) && pixels > 16 << 10;
-  // Special case, H200: 1.34 (equalize) to 1.58 (equalize_opencv) times as fast as two passes.
-  if (few || each > max_pixels) return equalize_in_chunks<P>(p, stream);
-  int const bytes = kCountBytes + int(each) + 2 * P;
+  int64_t const planes = p.x.count();
+  Division const division(planes, p.x.width, supports_clusters(equalize_parts<T, P>));
+  if (!division.by_clusters) return equalize_in_chunks<P>(p, stream);
+  int const bytes = kCountBytes + division.each + 2 * P;
   if (int const error = cudaFuncSetAttribute(equalize_parts<T, P>, cudaFuncAttributeMaxDynamicSharedMemorySize, bytes))
     return error;
-  return launch_clusters(equalize_parts<T, P>, unsigned(planes * parts), kThreads, bytes, unsigned(parts), stream, p,
-                         unsigned(parts), int(each));
+  return launch_clusters(equalize_parts<T, P>, unsigned(planes * division.parts), kThreads, bytes,
+                         unsigned(division.parts), stream, p, unsigned(division.parts), division.each);
+}
+
+// By the division of as many planes of the largest size.
+template <int P, class T>
+int equalize_samples(EqualizeList<T> const& p, CUstream_st* stream) {
+  int64_t most = 1, planes = int64_t(p.list.count) * p.channels;
+  for (int b = 0; b < p.list.count; ++b) most = max(most, int64_t(p.list.results[b].height) * p.list.results[b].width);
+  auto const pixels_of = [](Equalize<T> const& one) { return one.x.height * one.x.width; };
+  auto* const kernel = equalize_parts_of_list<T, P>;
+  Division const division(planes, most, supports_clusters(kernel));
+  if (division.by_clusters) {
+    int const bytes = kCountBytes + division.each + 2 * P;
+    if (int const error = cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, bytes))
+      return error;
+    int error = 0;
+    int const failed = launch_list(
+        p, [&](Equalize<T> const&) { return p.channels * division.parts; },
+        [&](EqualizeList<T> const& list, unsigned blocks) {
+          error = launch_clusters(kernel, blocks, kThreads, bytes, unsigned(division.parts), stream, list,
+                                  unsigned(division.parts));
+        });
+    return error ? error : failed;
+  }
+  int const each = int(pixels_of_chunk(sum_of_samples(p, pixels_of) * p.channels));
+  if (int const error = cudaMemsetAsync(p.all.counts, 0, planes * kLevels * sizeof(int32_t), stream)) return error;
+  auto const launch = [&](auto maps) {
+    return launch_list(
+        p, [&](Equalize<T> const& one) { return p.channels * ceil_div(pixels_of(one), int64_t(each)); },
+        [&](EqualizeList<T> const& list, unsigned blocks) {
+          equalize_chunks_of_list<T, P, maps.value><<<blocks, kThreads, 0, stream>>>(list, each);
+        });
+  };
+  int const error = launch(std::false_type{});
+  return error ? error : launch(std::true_type{});
 }
 
 }  // namespace
@@ -280,6 +368,17 @@ int equalize(Equalize<T> const& p, CUstream_st* stream) {
   int error = 0;
   with_row_vectors<kRowVector<T>>(are_equally_aligned<kRowVector<T>>(p.x, p.y),
                                   [&](auto pixels) { error = equalize_planes<pixels.value>(p, stream); });
+  return error;
+}
+
+template <class T>
+int equalize_list(EqualizeList<T> const& p, CUstream_st* stream) {
+  int error = 0;
+  bool const aligned = all_samples(p, [](Equalize<T> const& one) {
+    Equalize<T> const flat = flat_sample(one);
+    return are_equally_aligned<kRowVector<T>>(flat.x, flat.y);
+  });
+  with_row_vectors<kRowVector<T>>(aligned, [&](auto pixels) { error = equalize_samples<pixels.value>(p, stream); });
   return error;
 }
 
@@ -296,6 +395,7 @@ int equalize_backward(EqualizeBackward<T> const& p, CUstream_st* stream) {
 }
 
 KV_INSTANTIATE_WITH_BYTES(equalize, Equalize)
+KV_INSTANTIATE_WITH_BYTES(equalize_list, EqualizeList)
 KV_INSTANTIATE(equalize_backward, EqualizeBackward)
 
 }  // namespace kv::enhance::cuda

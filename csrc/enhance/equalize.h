@@ -3,6 +3,7 @@
 
 #include "byte_histogram.h"
 #include "core/isa.h"
+#include "core/stencils/filter_list.h"
 
 namespace kv::enhance {
 
@@ -13,13 +14,32 @@ template <class T>
 struct Equalize {
   Planes<T const> x;  // flat: each plane is one row
   Planes<T> y;
-  T* changed;  // a Change per plane
+  T* changed;  // a Change per plane; null of lists
   bool opencv;
-  int32_t* counts;    // working memory, kLevels per plane; on the CPU per part of a plane, if there are parts
-  int64_t parts = 1;  // CPU: parts that planes are divided into, so that more threads than planes can run
+  int32_t* counts;            // working memory, kLevels per plane; on the CPU per part of a plane, if there are parts
+  int64_t parts = 1;          // CPU: parts that planes are divided into, so that more threads than planes can run
+  int64_t sample_counts = 0;  // elements of `counts` from a sample to the next one
 
   KV_HD int64_t first_of(int64_t part) const { return x.width * part / parts; }
+  KV_HD void select(int64_t b) { counts += b * sample_counts; }
 };
+
+template <class T>
+struct EqualizeList : FilterList<Equalize<T>, T> {};
+
+// A sample of a list, whose rows follow each other, with each plane as one row.
+template <class T>
+KV_HD Planes<T> flat_channels(Planes<T> p) {
+  if (p.step > 1) p.inner = p.step, p.inner_stride = 1;
+  p.width *= p.height, p.height = 1;
+  p.row_stride = p.row_size();
+  return p;
+}
+template <class T>
+KV_HD Equalize<T> flat_sample(Equalize<T> one) {
+  one.x = flat_channels(one.x), one.y = flat_channels(one.y);
+  return one;
+}
 
 // Levels have zero gradient; pixels that are returned unchanged pass theirs.
 template <class T>
@@ -30,6 +50,7 @@ struct EqualizeBackward {
 };
 
 KV_KERNEL(equalize, Equalize)
+KV_KERNEL(equalize_list, EqualizeList)
 KV_KERNEL(equalize_counts, Equalize)  // CPU: the counts of each part
 KV_KERNEL(equalize_backward, EqualizeBackward)
 

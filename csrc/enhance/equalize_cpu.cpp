@@ -3,6 +3,7 @@
 #include "byte_histogram_cpu.h"
 #include "core/bytes.h"
 #include "core/scratch.h"
+#include "core/stencils/channel_list.h"
 #include "equalize.h"
 
 namespace kv::enhance::KV_ISA {
@@ -99,7 +100,7 @@ void equalize(Equalize<T> const& p, int64_t begin, int64_t end) {
         for (int i = 0; i < kLevels; ++i) count[i] += p.counts[(plane * p.parts + k) * kLevels + i];
       changed = make_table(count, p.opencv, table, counted);
       Change const change = !changed ? Change::none : counted == pixels ? Change::all : Change::but_nan;
-      if (part == 0) store<1>(p.changed + plane, Compute<T>(int(change)));
+      if (part == 0 && p.changed) store<1>(p.changed + plane, Compute<T>(int(change)));
     }
     T const* const x = p.x.plane(plane);
     T* const y = p.y.plane(plane);
@@ -129,6 +130,13 @@ void equalize(Equalize<T> const& p, int64_t begin, int64_t end) {
 }
 
 template <class T>
+void equalize_list(EqualizeList<T> const& p, int64_t begin, int64_t end) {
+  channel_items(p, begin, end, [](Equalize<T> const& one, int64_t first, int64_t last) {
+    KV_ISA::equalize(flat_sample(one), first, last);
+  });
+}
+
+template <class T>
 void equalize_backward(EqualizeBackward<T> const& p, int64_t begin, int64_t end) {
   using F = Compute<T>;
   int64_t const from = p.grad.step, of = p.output.step, to = p.grad_x.step;
@@ -155,6 +163,7 @@ void equalize_backward(EqualizeBackward<T> const& p, int64_t begin, int64_t end)
 }
 
 KV_INSTANTIATE_WITH_BYTES(equalize, Equalize)
+KV_INSTANTIATE_WITH_BYTES(equalize_list, EqualizeList)
 KV_INSTANTIATE_WITH_BYTES(equalize_counts, Equalize)
 KV_INSTANTIATE(equalize_backward, EqualizeBackward)
 

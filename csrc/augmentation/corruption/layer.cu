@@ -1,23 +1,22 @@
-// Images behind a layer on CUDA: a thread has adjacent pixels of a row, in all channels.
+// Images behind a layer on CUDA: a thread has adjacent pixels of a row, in all channels. A block of a list finds its
+// sample in the table.
 #include "augmentation/corruption/layer.h"
 #include "core/launch.cuh"
+#include "core/stencils/filter_list.cuh"
 
 namespace kv::augmentation::cuda {
 namespace {
 
 constexpr int kLayerThreads = 256;
 
-// P pixels a thread; more than one where rows of images are whole vectors. WholeLayer: those of layers are, too.
-template <class T, int P, bool WholeLayer>
-__global__ void __launch_bounds__(kLayerThreads) put_behind(__grid_constant__ AddLayer<T> const p) {
+// Of sample b the pixels of thread i, P of them; more than one where rows of images are whole vectors. WholeLayer:
+// those of layers are, too.
+template <int P, bool WholeLayer, class T>
+__device__ __forceinline__ void put_behind(AddLayer<T> const& p, int64_t b, int i) {
   using F = Compute<T>;
-  int const i = blockIdx.x * kLayerThreads + threadIdx.x, per_row = int(p.width) / P, row = i / per_row,
-            column = (i - row * per_row) * P;
-  if (row >= p.height) return;
-  int64_t const b = blockIdx.y;
+  int const per_row = int(p.x.width) / P, row = i / per_row, column = (i - row * per_row) * P;
+  if (row >= p.x.height) return;
   F const* const layer = p.layer_of(b) + row * p.layer_strides[2] + column * p.layer_strides[3];
-  T const* const x = p.x + b * p.x_strides[0] + row * p.x_strides[2] + column * p.x_strides[3];
-  T* const y = p.y + b * p.y_strides[0] + row * p.y_strides[2] + column * p.y_strides[3];
   Vector<F, P> m;
   auto const read_layer = [&](F const* from) {
     if constexpr (WholeLayer) {
@@ -32,26 +31,61 @@ __global__ void __launch_bounds__(kLayerThreads) put_behind(__grid_constant__ Ad
   for (int c = 0; c < int(p.channels); ++c) {
     if (c > 0 && p.layer_strides[1] != 0) read_layer(layer + c * p.layer_strides[1]);
     LayerFactors<F> const factors(p, b, c);
-    auto const v = *reinterpret_cast<Vector<T, P> const*>(x + c * p.x_strides[1]);
+    auto const v = *reinterpret_cast<Vector<T, P> const*>(p.row(p.x, b, c, row) + column * p.x.step);
     F result[P];
 #pragma unroll
     for (int k = 0; k < P; ++k) result[k] = factors.behind(F(read(v.v[k])), m.v[k]);
-    store_vector(y + c * p.y_strides[1], result);
+    store_vector(p.row(p.y, b, c, row) + column * p.y.step, result);
   }
 }
 
-// Whether rows are whole vectors of four elements.
+template <class T, int P, bool WholeLayer>
+__global__ void __launch_bounds__(kLayerThreads) layer_of_batch(__grid_constant__ AddLayer<T> const p) {
+  put_behind<P, WholeLayer>(p, blockIdx.y, int(blockIdx.x) * kLayerThreads + int(threadIdx.x));
+}
+
+// Whether rows of images are whole vectors of four elements.
 template <class T>
-bool has_whole_rows_of_four(T const* data, int64_t width, int64_t const (&strides)[4]) {
-  bool whole = strides[3] == 1 && width % 4 == 0 && reinterpret_cast<uintptr_t>(data) % alignof(Vector<T, 4>) == 0;
-  for (int i = 0; i < 3; ++i) whole = whole && strides[i] % 4 == 0;
+KV_HD bool has_whole_rows_of_four(Planes<T> const& p) {
+  return p.step == 1 && p.width % 4 == 0 && reinterpret_cast<uintptr_t>(p.data) % alignof(Vector<T, 4>) == 0 &&
+         p.outer_stride % 4 == 0 && p.inner_stride % 4 == 0 && p.row_stride % 4 == 0;
+}
+template <class T>
+KV_HD bool has_whole_rows_of_four(AddLayer<T> const& p) {
+  return has_whole_rows_of_four(p.x) && has_whole_rows_of_four(p.y);
+}
+// Whether those of layers without windows are.
+template <class T>
+KV_HD bool has_whole_layers(AddLayer<T> const& p) {
+  using F = Compute<T>;
+  bool whole =
+      !p.windows && p.layer_strides[3] == 1 && reinterpret_cast<uintptr_t>(p.layer) % alignof(Vector<F, 4>) == 0;
+  for (int i = 0; i < 3; ++i) whole = whole && p.layer_strides[i] % 4 == 0;
   return whole;
+}
+
+// Four pixels a thread where all rows of the image are whole vectors; then every fourth thread would be enough.
+template <class T>
+__global__ void __launch_bounds__(kLayerThreads) layer_of_list(__grid_constant__ AddLayerList<T> const p) {
+  unsigned block;
+  AddLayer<T> const* const one = sample_of_block(p, block);
+  if (!one) return;
+  int const first = int(block) * 4 * kLayerThreads, i = int(threadIdx.x);
+  if constexpr (sizeof(T) <= 4)
+    if (has_whole_rows_of_four(*one)) {
+      has_whole_layers(*one) ? put_behind<4, true>(*one, 0, first / 4 + i)
+                             : put_behind<4, false>(*one, 0, first / 4 + i);
+      return;
+    }
+#pragma unroll
+  for (int k = 0; k < 4; ++k) put_behind<1, false>(*one, 0, first + k * kLayerThreads + i);
 }
 
 template <int P, bool WholeLayer, class T>
 int launch_layer(AddLayer<T> const& p, CUstream_st* stream) {
-  dim3 const blocks(unsigned(ceil_div(p.height * (p.width / P), kLayerThreads)), unsigned(p.batch));
-  put_behind<T, P, WholeLayer><<<blocks, kLayerThreads, 0, stream>>>(p);
+  dim3 const blocks(unsigned(ceil_div(p.x.height * (p.x.width / P), kLayerThreads)),
+                    unsigned(p.x.count() / p.planes_per_sample()));
+  layer_of_batch<T, P, WholeLayer><<<blocks, kLayerThreads, 0, stream>>>(p);
   return cudaGetLastError();
 }
 
@@ -60,13 +94,19 @@ int launch_layer(AddLayer<T> const& p, CUstream_st* stream) {
 template <class T>
 int add_layer(AddLayer<T> const& p, CUstream_st* stream) {
   if constexpr (sizeof(T) <= 4)
-    if (has_whole_rows_of_four(p.x, p.width, p.x_strides) && has_whole_rows_of_four(p.y, p.width, p.y_strides))
-      return !p.windows && has_whole_rows_of_four(p.layer, p.width, p.layer_strides)
-                 ? launch_layer<4, true>(p, stream)
-                 : launch_layer<4, false>(p, stream);
+    if (has_whole_rows_of_four(p))
+      return has_whole_layers(p) ? launch_layer<4, true>(p, stream) : launch_layer<4, false>(p, stream);
   return launch_layer<1, false>(p, stream);
 }
 
+template <class T>
+int add_layer_list(AddLayerList<T> const& p, CUstream_st* stream) {
+  return launch_list(
+      p, [](AddLayer<T> const& one) { return ceil_div(one.x.height * one.x.width, int64_t(4 * kLayerThreads)); },
+      [&](AddLayerList<T> const& list, unsigned blocks) { layer_of_list<<<blocks, kLayerThreads, 0, stream>>>(list); });
+}
+
 KV_INSTANTIATE_WITH_BYTES(add_layer, AddLayer)
+KV_INSTANTIATE_WITH_BYTES(add_layer_list, AddLayerList)
 
 }  // namespace kv::augmentation::cuda

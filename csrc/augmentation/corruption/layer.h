@@ -3,6 +3,7 @@
 #pragma once
 
 #include "core/isa.h"
+#include "core/stencils/filter_list.h"
 #include "core/view.h"
 
 namespace kv::augmentation {
@@ -10,26 +11,43 @@ namespace kv::augmentation {
 template <class T>
 struct AddLayer {
   using F = Compute<T>;
-  T const* x;
-  T* y;
-  int64_t batch, channels, height, width;
-  int64_t x_strides[4], y_strides[4];  // of sample, channel, row and pixel
-  F const* layer;                      // (N, C or 1, h, w)
+  Planes<T const> x;
+  Planes<T> y;
+  int64_t channels;
+  F const* layer;  // (N, C or 1, h, w)
   int64_t layers, layer_height, layer_width, layer_strides[4];
   int64_t const* windows;  // (B, 3): of each sample the layer, and the first row and column; null: its own, from 0, 0
   F const* factors;        // (B or 1, C or 1, 4): a, b, c, d
   int64_t factor_strides[2];  // of sample and channel
   F full_range;               // 255 for bytes, 1 for floats
 
+  // Rows of channels-last images have all channels of their pixels.
+  KV_HD int64_t planes_per_sample() const { return x.step > 1 ? 1 : channels; }
+  // The row of a channel, from which pixels are x.step elements apart.
+  template <class U>
+  KV_HD U* row(Planes<U> const& images, int64_t b, int64_t c, int64_t row) const {
+    return x.step > 1 ? images.row(b, row) + c : images.row(b * channels + c, row);
+  }
   // The layer of a sample, from its first row and column on. Windows stay within the layers.
   KV_HD F const* layer_of(int64_t b) const {
     if (!windows) return layer + (layers > 1 ? b : 0) * layer_strides[0];
     int64_t const* const w = windows + 3 * b;
-    int64_t const own = clamp(w[0], int64_t(0), layers - 1), top = clamp(w[1], int64_t(0), layer_height - height),
-                  left = clamp(w[2], int64_t(0), layer_width - width);
+    int64_t const own = clamp(w[0], int64_t(0), layers - 1), top = clamp(w[1], int64_t(0), layer_height - x.height),
+                  left = clamp(w[2], int64_t(0), layer_width - x.width);
     return layer + own * layer_strides[0] + top * layer_strides[2] + left * layer_strides[3];
   }
+  KV_HD void select(int64_t b) {
+    if (windows)
+      windows += 3 * b;
+    else if (layers > 1)
+      layer += b * layer_strides[0];
+    factors += b * factor_strides[0];
+  }
 };
+
+// Layers of lists are as large as the largest image; each image has the upper left part, or a window.
+template <class T>
+struct AddLayerList : FilterList<AddLayer<T>, T> {};
 
 // The four factors of a channel of a sample.
 template <class F>
@@ -46,5 +64,6 @@ struct LayerFactors {
 };
 
 KV_KERNEL(add_layer, AddLayer)
+KV_KERNEL(add_layer_list, AddLayerList)
 
 }  // namespace kv::augmentation

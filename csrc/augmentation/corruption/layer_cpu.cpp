@@ -3,23 +3,42 @@
 #include "core/lanes.h"
 
 namespace kv::augmentation::KV_ISA {
+namespace {
 
 template <class T>
-void add_layer(AddLayer<T> const& p, int64_t begin, int64_t end) {
+KV_HD void put_behind(AddLayer<T> const& p, int64_t b, int64_t c, int64_t y) {
   using F = Compute<T>;
-  for (int64_t r = begin; r < end; ++r) {
-    int64_t const plane = r / p.height, y = r % p.height, b = plane / p.channels, c = plane % p.channels;
-    T const* const x = p.x + b * p.x_strides[0] + c * p.x_strides[1] + y * p.x_strides[2];
-    T* const result = p.y + b * p.y_strides[0] + c * p.y_strides[1] + y * p.y_strides[2];
-    F const* const layer = p.layer_of(b) + c * p.layer_strides[1] + y * p.layer_strides[2];
-    LayerFactors<F> const factors(p, b, c);
-    for (int64_t i = 0; i < p.width; ++i) {
-      F const value = factors.behind(F(load<1>(x + i * p.x_strides[3])), layer[i * p.layer_strides[3]]);
-      store<1>(result + i * p.y_strides[3], Lanes<F, 1>(value));
-    }
+  T const* const x = p.row(p.x, b, c, y);
+  T* const result = p.row(p.y, b, c, y);
+  F const* const layer = p.layer_of(b) + c * p.layer_strides[1] + y * p.layer_strides[2];
+  LayerFactors<F> const factors(p, b, c);
+  for (int64_t i = 0; i < p.x.width; ++i) {
+    F const value = factors.behind(F(load<1>(x + i * p.x.step)), layer[i * p.layer_strides[3]]);
+    store<1>(result + i * p.y.step, Lanes<F, 1>(value));
   }
 }
 
+}  // namespace
+
+template <class T>
+void add_layer(AddLayer<T> const& p, int64_t begin, int64_t end) {
+  int64_t const planes = p.planes_per_sample();
+  for (int64_t r = begin; r < end; ++r) {
+    int64_t const plane = r / p.x.height, y = r % p.x.height, b = plane / planes;
+    if (planes > 1)
+      put_behind(p, b, plane % planes, y);
+    else
+      for (int64_t c = 0; c < p.channels; ++c) put_behind(p, b, c, y);
+  }
+}
+
+template <class T>
+void add_layer_list(AddLayerList<T> const& p, int64_t begin, int64_t end) {
+  filter_items(p, begin, end,
+               [](AddLayer<T> const& one, int64_t first, int64_t last) { KV_ISA::add_layer(one, first, last); });
+}
+
 KV_INSTANTIATE_WITH_BYTES(add_layer, AddLayer)
+KV_INSTANTIATE_WITH_BYTES(add_layer_list, AddLayerList)
 
 }  // namespace kv::augmentation::KV_ISA

@@ -1,59 +1,98 @@
-// Images behind a layer: schema and entry, for CPU and CUDA.
+// Images behind a layer: schemas and entries, for CPU and CUDA.
 #include "augmentation/corruption/layer.h"
-#include "glue/glue.h"
+#include "augmentation/lists/listed_images.h"
 
 namespace kv::augmentation {
 namespace {
 
-// Images (B, C, H, W); layer (B or 1, C or 1, H, W), or layers of any number and size with windows (B, 3) int64;
-// factors (B or 1, C or 1, 4). Layers and factors are of the type that is computed in.
-Tensor add_layer(Tensor const& images, Tensor const& layer, std::optional<Tensor> const& windows,
-                 Tensor const& factors) {
-  constexpr char const* op = "add_layer";
-  check_images(op, "images", images);
-  int64_t const batch = images.size(0), channels = images.size(1);
-  auto const is_one_or = [](int64_t size, int64_t all) { return size == all || size == 1; };
-  auto const fits = [&](Tensor const& t) {
-    return t.scalar_type() == compute_dtype(images) && t.device() == images.device() &&
-           is_one_or(t.size(1), channels) && (windows || is_one_or(t.size(0), batch));
-  };
-  KV_CHECK(factors.dim() == 3 && fits(factors) && is_one_or(factors.size(0), batch) && factors.size(2) == 4, op,
-           ": expected factors of shape (B, C, 4), of the type that is computed in, on the device of images");
-  bool const is_whole = layer.dim() == 4 && fits(layer) && layer.numel() > 0;
-  KV_CHECK(images.numel() == 0 || (is_whole && layer.size(2) >= images.size(2) && layer.size(3) >= images.size(3) &&
-                                   (windows || (layer.size(2) == images.size(2) && layer.size(3) == images.size(3)))),
-           op, ": expected a layer of the size of images, of the type that is computed in, on the device of images");
-  if (windows)
-    KV_CHECK(windows->dim() == 2 && windows->size(0) == batch && windows->size(1) == 3 &&
-                 windows->scalar_type() == ScalarType::Long && windows->device() == images.device(),
-             op, ": expected int64 windows of shape (B, 3) on the device of images");
-  KV_CHECK(images.is_cpu() || (batch <= 65535 && images.size(2) * images.size(3) <= INT32_MAX / 2), op,
-           ": expected at most 65535 images, and 2^30 pixels in each");
-  Tensor const y = empty_like(images, layout_of(images)), own = dense(factors);
-  std::optional<Tensor> const rows = windows ? std::optional<Tensor>(dense(*windows)) : std::nullopt;
-  dispatch_floating_and_uint8(op, images, [&]<class T>(Type<T>) {
+// Images (B, C, H, W), or what stands for a list; layer (B or 1, C or 1, H, W), or layers of any number and size with
+// windows (B, 3) int64; factors (B or 1, C or 1, 4). Layers and factors are of the type that is computed in.
+struct LayerArguments {
+  char const* op;
+  Tensor const &images, &layer;
+  OptionalTensor windows;
+  Tensor factors;
+
+  LayerArguments(char const* op, Tensor const& images, Tensor const& layer, OptionalTensor const& windows,
+                 Tensor const& factors)
+      : op(op), images(images), layer(layer), windows(windows), factors(factors) {
+    check_images(op, "images", images);
+    int64_t const batch = images.size(0), channels = images.size(1);
+    auto const is_one_or = [](int64_t size, int64_t all) { return size == all || size == 1; };
+    auto const fits = [&](Tensor const& t) {
+      return t.scalar_type() == compute_dtype(images) && t.device() == images.device() &&
+             is_one_or(t.size(1), channels) && (windows || is_one_or(t.size(0), batch));
+    };
+    KV_CHECK(factors.dim() == 3 && fits(factors) && is_one_or(factors.size(0), batch) && factors.size(2) == 4, op,
+             ": expected factors of shape (B, C, 4), of the type that is computed in, on the device of images");
+    KV_CHECK(images.numel() == 0 || (layer.dim() == 4 && fits(layer) && layer.numel() > 0), op,
+             ": expected a layer of the type that is computed in, on the device of images");
+    if (windows)
+      KV_CHECK(windows->dim() == 2 && windows->size(0) == batch && windows->size(1) == 3 &&
+                   windows->scalar_type() == ScalarType::Long && windows->device() == images.device(),
+               op, ": expected int64 windows of shape (B, 3) on the device of images");
+    KV_CHECK(images.is_cpu() || (batch <= 65535 && images.size(2) * images.size(3) <= INT32_MAX / 2), op,
+             ": expected at most 65535 images, and 2^30 pixels in each");
+    this->factors = dense(factors);
+    if (windows) this->windows = dense(*windows);
+  }
+  void check_size(int64_t height, int64_t width, bool is_equal) const {
+    int64_t const tall = layer.size(2), wide = layer.size(3);
+    KV_CHECK(is_equal ? tall == height && wide == width : tall >= height && wide >= width, op,
+             ": expected a layer of the size of images");
+  }
+
+  // All but the images.
+  template <class T>
+  AddLayer<T> params() const {
     using F = Compute<T>;
-    AddLayer<T> params{};
-    params.x = data_ptr<T const>(images), params.y = data_ptr<T>(y);
-    params.batch = batch, params.channels = channels, params.height = images.size(2), params.width = images.size(3);
-    params.layer = data_ptr<F const>(layer), params.factors = data_ptr<F const>(own);
-    params.windows = rows ? data_ptr<int64_t const>(*rows) : nullptr;
-    if (images.numel()) {
-      params.layers = layer.size(0), params.layer_height = layer.size(2), params.layer_width = layer.size(3);
-      for (int i = 0; i < 4; ++i) params.layer_strides[i] = layer.stride(i);
-      if (layer.size(1) == 1) params.layer_strides[1] = 0;
-    }
-    for (int i = 0; i < 4; ++i) params.x_strides[i] = images.stride(i), params.y_strides[i] = y.stride(i);
-    params.factor_strides[0] = own.size(0) > 1 ? 4 * own.size(1) : 0;
-    params.factor_strides[1] = own.size(1) > 1 ? 4 : 0;
-    params.full_range = sizeof(T) == 1 ? 255 : 1;
-    KV_RUN(add_layer, images, params, images.numel() ? batch * channels * params.height : 0, 4 * params.width);
+    AddLayer<T> p{};
+    p.channels = images.size(1);
+    p.layer = data_ptr<F const>(layer), p.factors = data_ptr<F const>(factors);
+    p.windows = windows ? data_ptr<int64_t const>(*windows) : nullptr;
+    p.layers = layer.size(0), p.layer_height = layer.size(2), p.layer_width = layer.size(3);
+    for (int i = 0; i < 4; ++i) p.layer_strides[i] = layer.stride(i);
+    if (layer.size(1) == 1) p.layer_strides[1] = 0;
+    p.factor_strides[0] = factors.size(0) > 1 ? 4 * factors.size(1) : 0;
+    p.factor_strides[1] = factors.size(1) > 1 ? 4 : 0;
+    p.full_range = sizeof(T) == 1 ? 255 : 1;
+    return p;
+  }
+};
+
+Tensor add_layer(Tensor const& images, Tensor const& layer, OptionalTensor const& windows, Tensor const& factors) {
+  LayerArguments const arguments("add_layer", images, layer, windows, factors);
+  Layout const layout = layout_of(images);
+  Tensor const x = as_layout(images, layout), y = empty_like(x, layout);
+  if (images.numel() == 0) return y;
+  arguments.check_size(images.size(2), images.size(3), !windows);
+  dispatch_floating_and_uint8(arguments.op, images, [&]<class T>(Type<T>) {
+    AddLayer<T> params = arguments.params<T>();
+    params.x = planes<T const>(x, layout), params.y = planes<T>(y, layout);
+    KV_RUN(add_layer, images, params, params.x.rows(), 4 * params.x.row_size());
   });
   return y;
+}
+
+Tensors add_layer_list(Tensors const& images, OptionalTensor const& chosen, Tensor const& layer,
+                       OptionalTensor const& windows, Tensor const& factors) {
+  ListedImages const list("add_layer_list", images, chosen);
+  LayerArguments const arguments(list.kept.op, list.like(), layer, windows, factors);
+  for (Tensor const& x : images) arguments.check_size(x.size(1), x.size(2), false);
+  dispatch_floating_and_uint8(arguments.op, list.like(), [&]<class T>(Type<T>) {
+    list.filter<AddLayerList<T>>(arguments.params<T>(), 4, [&](auto const& p, [[maybe_unused]] int64_t cost) {
+      KV_RUN(add_layer_list, list.like(), p, p.list.items, cost);
+    });
+  });
+  return list.kept.results;
 }
 
 }  // namespace
 
 KV_OPERATOR(add_layer, "(Tensor images, Tensor layer, Tensor? windows, Tensor factors) -> Tensor")
+// The same of images (C, H, W) of different sizes, as a list. `chosen` (B,) float32: images whose value is 0 stay as
+// they are.
+KV_OPERATOR(add_layer_list,
+            "(Tensor[] images, Tensor? chosen, Tensor layer, Tensor? windows, Tensor factors) -> Tensor[]")
 
 }  // namespace kv::augmentation

@@ -3,6 +3,7 @@
 // rows.
 #include "augmentation/corruption/pixelate.h"
 #include "core/launch.cuh"
+#include "core/stencils/filter_list.cuh"
 
 namespace kv::augmentation::cuda {
 namespace {
@@ -10,10 +11,10 @@ namespace {
 constexpr int kPixelateWarps = 8, kPixelateRows = 32;
 constexpr size_t kPixelateBytes = 48 << 10;  // of shared memory, unless one warp needs more
 
-// Vectorized: rows are whole vectors of four elements.
-template <class T, bool Vectorized>
-__global__ void __launch_bounds__(32 * kPixelateWarps)
-    show_blocks(__grid_constant__ Pixelate<T> const p, unsigned parts) {
+// Some rows of the plane of a block of threads, of `parts` blocks for each plane. Vectorized: rows are whole vectors
+// of four elements.
+template <bool Vectorized, class T>
+__device__ __forceinline__ void show_blocks(Pixelate<T> const& p, unsigned block_of_threads, unsigned parts) {
   using F = Compute<T>;
   constexpr int P = Vectorized ? 4 : 1;
   extern __shared__ __align__(16) char shared[];
@@ -24,8 +25,8 @@ __global__ void __launch_bounds__(32 * kPixelateWarps)
   // read.
   uint16_t* const shown = reinterpret_cast<uint16_t*>(reinterpret_cast<F*>(shared) + warps * size);
   uint16_t *const begins = shown + size, *const ends = begins + p.x.width;
-  int64_t const plane = blockIdx.x / parts, b = plane / p.planes_per_sample;
-  int const top = int(blockIdx.x % parts) * kPixelateRows, bottom = min(top + kPixelateRows, int(p.y.height));
+  int64_t const plane = block_of_threads / parts, b = plane / p.planes_per_sample;
+  int const top = int(block_of_threads % parts) * kPixelateRows, bottom = min(top + kPixelateRows, int(p.y.height));
   BlockAxis const down = p.down(b), across = p.across(b);
   for (int i = int(threadIdx.x); i < size; i += int(blockDim.x)) {
     int const x = step == 1 ? i : i / step;
@@ -78,27 +79,54 @@ __global__ void __launch_bounds__(32 * kPixelateWarps)
   }
 }
 
-template <class T>
-int launch_pixelate(Pixelate<T> const& p, auto vectorized, CUstream_st* stream) {
-  unsigned const parts = unsigned(ceil_div(p.y.height, kPixelateRows));
-  size_t const size = size_t(p.x.row_size()), of_warp = size * sizeof(Compute<T>),
-               of_all = 2 * (size + 2 * size_t(p.x.width));
-  int const warps =
-      of_all + of_warp < kPixelateBytes ? int(min((kPixelateBytes - of_all) / of_warp, size_t(kPixelateWarps))) : 1;
-  size_t const bytes = of_all + size_t(warps) * of_warp;
-  auto* const kernel = show_blocks<T, vectorized.value>;
-  if (cudaError_t const error = cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, int(bytes)))
-    return error;
-  kernel<<<unsigned(p.y.count()) * parts, unsigned(32 * warps), bytes, stream>>>(p, parts);
-  return cudaGetLastError();
-}
-
 // Whether rows are whole vectors of four elements; a row of a channels-last image has all channels of its pixels.
 template <class T>
-bool has_whole_rows(Planes<T> const& p) {
+KV_HD bool has_whole_rows(Planes<T> const& p) {
   constexpr int64_t bytes = alignof(Vector<std::remove_const_t<T>, 4>), size = sizeof(T);
   return reinterpret_cast<uintptr_t>(p.data) % bytes == 0 && p.outer_stride * size % bytes == 0 &&
          p.inner_stride * size % bytes == 0 && p.row_stride * size % bytes == 0 && p.row_size() % 4 == 0;
+}
+
+template <class T>
+KV_HD unsigned parts_of(Pixelate<T> const& p) {
+  return unsigned(ceil_div(p.y.height, int64_t(kPixelateRows)));
+}
+
+template <class T, bool Vectorized>
+__global__ void __launch_bounds__(32 * kPixelateWarps) pixelate_batch(__grid_constant__ Pixelate<T> const p) {
+  show_blocks<Vectorized>(p, blockIdx.x, parts_of(p));
+}
+
+template <class T>
+__global__ void __launch_bounds__(32 * kPixelateWarps) pixelate_images(__grid_constant__ PixelateList<T> const p) {
+  unsigned block;
+  Pixelate<T> const* const one = sample_of_block(p, block);
+  if (!one) return;
+  if (has_whole_rows(one->x) && has_whole_rows(one->y))
+    show_blocks<true>(*one, block, parts_of(*one));
+  else
+    show_blocks<false>(*one, block, parts_of(*one));
+}
+
+// launch(threads of a block, bytes of its shared memory) for rows of so many elements and pixels at most.
+template <class T, class Kernel, class Launch>
+int with_memory_of_rows(int64_t elements, int64_t pixels, Kernel* kernel, Launch launch) {
+  size_t const of_warp = size_t(elements) * sizeof(Compute<T>), of_all = 2 * size_t(elements + 2 * pixels);
+  int const warps =
+      of_all + of_warp < kPixelateBytes ? int(min((kPixelateBytes - of_all) / of_warp, size_t(kPixelateWarps))) : 1;
+  size_t const bytes = of_all + size_t(warps) * of_warp;
+  if (cudaError_t const error = cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, int(bytes)))
+    return error;
+  return launch(unsigned(32 * warps), bytes);
+}
+
+template <class T>
+int launch_pixelate(Pixelate<T> const& p, auto vectorized, CUstream_st* stream) {
+  auto* const kernel = pixelate_batch<T, vectorized.value>;
+  return with_memory_of_rows<T>(p.x.row_size(), p.x.width, kernel, [&](unsigned threads, size_t bytes) {
+    kernel<<<unsigned(p.y.count()) * parts_of(p), threads, bytes, stream>>>(p);
+    return int(cudaGetLastError());
+  });
 }
 
 }  // namespace
@@ -111,6 +139,22 @@ int pixelate(Pixelate<T> const& p, CUstream_st* stream) {
   return error;
 }
 
+template <class T>
+int pixelate_list(PixelateList<T> const& p, CUstream_st* stream) {
+  int64_t elements = 1, pixels = 1;
+  for (int b = 0; b < p.list.count; ++b) {
+    Pixelate<T> const one = p.sample(b);
+    elements = max(elements, one.x.row_size()), pixels = max(pixels, one.x.width);
+  }
+  auto* const kernel = pixelate_images<T>;
+  return with_memory_of_rows<T>(elements, pixels, kernel, [&](unsigned threads, size_t bytes) {
+    return launch_list(
+        p, [](Pixelate<T> const& one) { return one.y.count() * parts_of(one); },
+        [&](PixelateList<T> const& list, unsigned blocks) { kernel<<<blocks, threads, bytes, stream>>>(list); });
+  });
+}
+
 KV_INSTANTIATE_WITH_BYTES(pixelate, Pixelate)
+KV_INSTANTIATE_WITH_BYTES(pixelate_list, PixelateList)
 
 }  // namespace kv::augmentation::cuda

@@ -3,6 +3,7 @@
 #pragma once
 
 #include "core/isa.h"
+#include "core/stencils/filter_list.h"
 #include "core/view.h"
 
 namespace kv::augmentation {
@@ -67,11 +68,16 @@ struct Pixelate {
 
   KV_HD BlockAxis down(int64_t b) const { return {value, counts[b * count_stride], x.height}; }
   KV_HD BlockAxis across(int64_t b) const { return {value, counts[b * count_stride + 1], x.width}; }
+  KV_HD void select(int64_t b) { counts += b * count_stride; }
 };
+
+template <class T>
+struct PixelateList : FilterList<Pixelate<T>, T> {};
 
 // Elements of a row, on CUDA.
 constexpr int kMaxPixelateRow = 10240;
 
 KV_KERNEL(pixelate, Pixelate)
+KV_KERNEL(pixelate_list, PixelateList)
 
 }  // namespace kv::augmentation

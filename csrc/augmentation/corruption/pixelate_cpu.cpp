@@ -49,6 +49,13 @@ void pixelate(Pixelate<T> const& p, int64_t begin, int64_t end) {
   }
 }
 
+template <class T>
+void pixelate_list(PixelateList<T> const& p, int64_t begin, int64_t end) {
+  filter_items(p, begin, end,
+               [](Pixelate<T> const& one, int64_t first, int64_t last) { KV_ISA::pixelate(one, first, last); });
+}
+
 KV_INSTANTIATE_WITH_BYTES(pixelate, Pixelate)
+KV_INSTANTIATE_WITH_BYTES(pixelate_list, PixelateList)
 
 }  // namespace kv::augmentation::KV_ISA

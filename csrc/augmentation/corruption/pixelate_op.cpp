@@ -1,24 +1,29 @@
-// Images of blocks: schema and entry, for CPU and CUDA.
+// Images of blocks: schemas and entries, for CPU and CUDA.
 #include "augmentation/corruption/pixelate.h"
-#include "glue/glue.h"
+#include "augmentation/lists/listed_images.h"
 
 namespace kv::augmentation {
 namespace {
 
-// Images (B, C, H, W), numbers of blocks down and across (B, 2) float32.
-Tensor pixelate(Tensor const& images, Tensor const& counts, int64_t value) {
-  constexpr char const* op = "pixelate";
+// Images (B, C, H, W), or what stands for a list, and numbers of blocks down and across (B, 2) float32.
+void check_pixelate(char const* op, Tensor const& images, Tensor const& counts, int64_t value) {
   check_images(op, "images", images);
-  int64_t const batch = images.size(0);
-  KV_CHECK(counts.dim() == 2 && (counts.size(0) == batch || counts.size(0) == 1) && counts.size(1) == 2 &&
+  KV_CHECK(counts.dim() == 2 && (counts.size(0) == images.size(0) || counts.size(0) == 1) && counts.size(1) == 2 &&
                counts.scalar_type() == ScalarType::Float && counts.device() == images.device(),
            op, ": expected float32 counts of shape (B, 2) on the device of images");
   KV_CHECK(value >= 0 && value < kBlockValues, op, ": there is no value of blocks ", value);
+}
+void check_sides(char const* op, Tensor const& images, int64_t height, int64_t width) {
+  int64_t const row = width * (layout_of(images) == Layout::channels_last ? images.size(1) : 1);
+  KV_CHECK(height <= kMaxPixelateSide && width <= kMaxPixelateSide && (images.is_cpu() || row <= kMaxPixelateRow), op,
+           ": expected sides of at most ", kMaxPixelateSide, ", on CUDA ", kMaxPixelateRow, " elements of a row");
+}
+
+Tensor pixelate(Tensor const& images, Tensor const& counts, int64_t value) {
+  constexpr char const* op = "pixelate";
+  check_pixelate(op, images, counts, value);
+  check_sides(op, images, images.size(2), images.size(3));
   Layout const layout = layout_of(images);
-  int64_t const row = images.size(3) * (layout == Layout::channels_last ? images.size(1) : 1);
-  KV_CHECK(images.size(2) <= kMaxPixelateSide && images.size(3) <= kMaxPixelateSide &&
-               (images.is_cpu() || row <= kMaxPixelateRow),
-           op, ": expected sides of at most ", kMaxPixelateSide, ", on CUDA ", kMaxPixelateRow, " elements of a row");
   Tensor const x = as_layout(images, layout), y = empty_like(x, layout), own = dense(counts);
   dispatch_floating_and_uint8(op, x, [&]<class T>(Type<T>) {
     Pixelate<T> const params{planes<T const>(x, layout),
@@ -32,8 +37,27 @@ Tensor pixelate(Tensor const& images, Tensor const& counts, int64_t value) {
   return y;
 }
 
+Tensors pixelate_list(Tensors const& images, OptionalTensor const& chosen, Tensor const& counts, int64_t value) {
+  ListedImages const list("pixelate_list", images, chosen);
+  Tensor const& like = list.like();
+  check_pixelate(list.kept.op, like, counts, value);
+  for (Tensor const& x : images) check_sides(list.kept.op, like, x.size(1), x.size(2));
+  Tensor const own = dense(counts);
+  dispatch_floating_and_uint8(list.kept.op, like, [&]<class T>(Type<T>) {
+    Pixelate<T> const all{
+        {}, {}, data_ptr<float const>(own), own.size(0) > 1 ? 2 : 0, list.planes(), BlockValue(value)};
+    list.filter<PixelateList<T>>(all, 4, [&](auto const& p, [[maybe_unused]] int64_t cost) {
+      KV_RUN(pixelate_list, like, p, p.list.items, cost);
+    });
+  });
+  return list.kept.results;
+}
+
 }  // namespace
 
 KV_OPERATOR(pixelate, "(Tensor images, Tensor counts, int value) -> Tensor")
+// The same of images (C, H, W) of different sizes, as a list. `chosen` (B,) float32: images whose value is 0 stay as
+// they are.
+KV_OPERATOR(pixelate_list, "(Tensor[] images, Tensor? chosen, Tensor counts, int value) -> Tensor[]")
 
 }  // namespace kv::augmentation

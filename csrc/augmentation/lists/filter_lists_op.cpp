@@ -1,5 +1,6 @@
 // Filters of lists of images of different sizes, whose results have the sizes of the images: schemas and entries, for
 // CPU and CUDA.
+#include "augmentation/lists/listed_images.h"
 #include "augmentation/noise_glue.h"
 #include "enhance/plane_views.h"
 #include "enhance/sharpness.h"
@@ -7,7 +8,6 @@
 #include "filters/separable_glue.h"
 #include "filters/smoothing/box_glue.h"
 #include "filters/smoothing/median.h"
-#include "geometry/transform/lists/list_glue.h"
 
 namespace kv::filters {
 namespace {
@@ -50,49 +50,6 @@ void run([[maybe_unused]] Tensor const& like, SharpnessList<T> const& p, [[maybe
 
 namespace kv::augmentation {
 namespace {
-
-using OptionalTensor = std::optional<Tensor>;
-
-// Images (C, H, W), and which of them are filtered, (B,) float32; the others are copied.
-struct ListedImages {
-  geometry::KeptSizes kept;
-  OptionalTensor const& chosen;
-  Tensors images;  // in the layout of the results
-
-  ListedImages(char const* op, Tensors const& images, OptionalTensor const& chosen)
-      : kept(op, images), chosen(chosen), images(geometry::in_layout(images, kept.layout)) {
-    check_chosen(op, chosen, like());
-  }
-  // Stands for a batch in checks.
-  Tensor const& like() const { return kept.largest; }
-  int64_t channels() const { return like().size(1); }
-  int64_t planes() const { return kept.interleaved() ? 1 : channels(); }
-
-  void check_window_fits(Border border, int64_t ky, int64_t kx) const {
-    check_window(kept.op, ky, kx);
-    for (Tensor const& x : images) {
-      check_border(kept.op, border, ky / 2, x.size(1));
-      check_border(kept.op, border, kx / 2, x.size(2));
-    }
-  }
-
-  // Runs a filter, `all` without images, on tables of at most kMaxListed samples: run(table, cost of an item).
-  template <class List, class Filter, class Run>
-  void filter(Filter const& all, int64_t cost_of_pixel, Run run) const {
-    auto const items_of = [&](geometry::Size size) {
-      return ceil_div(planes() * size.height, rows_of_item(size.width));
-    };
-    List list;
-    kept.for_each_table(list.list, images, items_of, [&](size_t first) {
-      list.all = all;
-      list.all.select(int64_t(first));
-      list.chosen_stride = chosen && chosen->size(0) > 1 ? chosen->stride(0) : 0;
-      list.chosen = chosen ? data_ptr<float const>(*chosen) + int64_t(first) * list.chosen_stride : nullptr;
-      list.channels = int(channels());
-      run(list, cost_of_pixel * max(kItemPixels, like().size(3)) * channels() / planes());
-    });
-  }
-};
 
 // Windows and sigma as those of gaussian_blur2d.
 Tensors gaussian_list(char const* op, Tensors const& images, OptionalTensor const& chosen, OptionalTensor const& sigma,

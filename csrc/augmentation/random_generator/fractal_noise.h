@@ -4,6 +4,7 @@
 
 #include "augmentation/noise.h"
 #include "contrib/diamond_square.h"
+#include "core/image_list.h"
 
 namespace kv::augmentation {
 
@@ -14,13 +15,36 @@ struct FractalNoise {
   PixelNoise<double> noise;  // its images are not used; its draw is that of the first level
   T const* roughness;        // (B,)
   double *coarse, *fine;     // (B, C, h, w), of the level before; (B, C, 2 h - 1, 2 w - 1), null of the last one
-  T* y;                      // (B, C, height, width): the upper left part of the last one
-  int64_t batch, channels, height, width, roughness_stride;
+  int64_t coarse_plane, fine_plane;  // elements of a plane; more than it needs in lists
+  T* y;                              // (B, C, tall, wide): the upper left part of the last one, and 0 beyond it
+  int64_t batch, channels, height, width, tall, wide, roughness_stride;
   int64_t h, w;  // of the coarse level; of the first one the corners
   int level;     // 0 is the first one
   int levels;
   bool is_upright;  // the first one has two columns, not two rows, of noise
 
+  // Begins with the first level, of a map of a size. It has 3 pixels along its shorter side.
+  KV_HD void start(int64_t rows, int64_t columns) {
+    height = rows, width = columns;
+    int const down = halvings(rows), across = halvings(columns);
+    levels = min(down, across), level = 0;
+    h = (int64_t(1) << (down - levels)) + 1, w = (int64_t(1) << (across - levels)) + 1;
+    is_upright = w == 2;
+  }
+  // How often a side of at least n pixels, 2^k + 1, halves: at least once, to 3.
+  static KV_HD int halvings(int64_t n) {
+    int k = 1;
+    while ((int64_t(1) << k) + 1 < n) ++k;
+    return k;
+  }
+  // Leaves the parameters and the memory of sample b.
+  KV_HD void select(int64_t b) {
+    noise.skip(b);
+    roughness += b * roughness_stride;
+    y += b * channels * tall * wide;
+    if (coarse) coarse += b * channels * coarse_plane;
+    if (fine) fine += b * channels * fine_plane;
+  }
   KV_HD int64_t fine_height() const { return 2 * h - 1; }
   KV_HD int64_t fine_width() const { return 2 * w - 1; }
   // Blocks of a plane in a map of so many numbers.
@@ -46,6 +70,27 @@ struct FractalNoise {
   KV_HD void next() { h = fine_height(), w = fine_width(), ++level; }
 };
 
+// The same of samples of different sizes, in planes as large as the largest of them.
+template <class T>
+struct FractalNoiseList {
+  FractalNoise<T> all;  // of which the level counts, too
+  int count;
+  struct Size {
+    int height, width;
+  } sizes[kMaxListed];
+
+  // A sample as a batch of one, at the level of all; it may have fewer.
+  KV_HD FractalNoise<T> sample(int b) const {
+    FractalNoise<T> one = all;
+    one.select(b);
+    one.batch = 1;
+    one.start(sizes[b].height, sizes[b].width);
+    while (one.level < all.level) one.next();
+    return one;
+  }
+};
+
 KV_KERNEL(fractal_noise, FractalNoise)
+KV_KERNEL(fractal_noise_list, FractalNoiseList)
 
 }  // namespace kv::augmentation

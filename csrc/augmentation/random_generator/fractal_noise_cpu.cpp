@@ -30,8 +30,10 @@ void fractal_noise(FractalNoise<T> const& params, int64_t begin, int64_t end) {
           [&](int64_t y, int64_t x) KV_INLINE { return p.level > 0 ? p.number_of(words.data[y * wide + x]) : 0.; },
           p.weight(b), p.h, p.w);
       if (p.is_last()) {
-        for (int64_t y = 0; y < p.height; ++y)
-          for (int64_t x = 0; x < p.width; ++x) p.y[(plane * p.height + y) * p.width + x] = T(level.at(y, x));
+        T* const result = p.y + plane * p.tall * p.wide;
+        for (int64_t y = 0; y < p.tall; ++y)
+          for (int64_t x = 0; x < p.wide; ++x)
+            result[y * p.wide + x] = y < p.height && x < p.width ? T(level.at(y, x)) : T(0);
         break;
       }
       for (int64_t i = 0; i < numbers; ++i) fine[i] = level.at(i / wide, i % wide);
@@ -42,6 +44,15 @@ void fractal_noise(FractalNoise<T> const& params, int64_t begin, int64_t end) {
   }
 }
 
+template <class T>
+void fractal_noise_list(FractalNoiseList<T> const& p, int64_t begin, int64_t end) {
+  for (int64_t plane = begin; plane < end; ++plane) {
+    int64_t const b = plane / p.all.channels, c = plane - b * p.all.channels;
+    KV_ISA::fractal_noise(p.sample(int(b)), c, c + 1);
+  }
+}
+
 KV_INSTANTIATE_COMPUTED(fractal_noise, FractalNoise)
+KV_INSTANTIATE_COMPUTED(fractal_noise_list, FractalNoiseList)
 
 }  // namespace kv::augmentation::KV_ISA

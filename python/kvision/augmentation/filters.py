@@ -17,6 +17,7 @@ from kvision._modes import BORDER
 from kvision.augmentation.engine import AugmentationBase, Execution, Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
 from kvision.augmentation.keys import refuse_mapped
+from kvision.augmentation.lists import statistics_lists
 from kvision.augmentation.lists.filter_lists import box_blur, filter2d, gaussian_blur2d, median_blur, sharpness
 from kvision.augmentation.random_generator.filters import (
     JPEGGenerator,
@@ -366,6 +367,11 @@ class RandomEqualize(IntensityAugmentationBase2D, keeps_contract=True):
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
         return enhance.equalize(input)
+
+    filters_chosen = True
+
+    def _operation(self, like: Tensor, params: Params) -> Operation:
+        return Operation(statistics_lists.equalize, (False,))
 
 
 class RandomAutoContrast(IntensityAugmentationBase2D, keeps_contract=True):

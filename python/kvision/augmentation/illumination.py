@@ -2,24 +2,47 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from torch import Tensor
 
-from kvision._clamp import clamp
-from kvision.augmentation.engine import Params
-from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
+from kvision._dtype import compute_dtype
+from kvision.augmentation.corruption.layer import layered
+from kvision.augmentation.corruption.layer_base import LayerAugmentation
+from kvision.augmentation.engine import Execution, Params
+from kvision.augmentation.lists.sides import sides_of_list
 from kvision.augmentation.random_generator.illumination import (
     GaussianIlluminationGenerator,
+    IlluminationGenerator,
     LinearCornerIlluminationGenerator,
     LinearIlluminationGenerator,
 )
 from kvision.augmentation.ranges import Numbers
+from kvision.geometry.transform.lists.kept_sizes import Operation
 
 __all__ = ["RandomGaussianIllumination", "RandomLinearCornerIllumination", "RandomLinearIllumination"]
 
 
-class RandomGaussianIllumination(IntensityAugmentationBase2D, keeps_contract=True):
+class Illumination(LayerAugmentation, keeps_contract=True):
+    """Base of augmentations that add light, of a generator of its maps, to images within 0 and 1."""
+
+    _param_generator: IlluminationGenerator
+
+    def _operation(self, like: Tensor, params: Params) -> Operation:
+        return _added(params["gradient"].to(like.device, compute_dtype(like)))
+
+    def _operation_on_list(self, images: Sequence[Tensor], like: Tensor, execution: Execution) -> Operation:
+        assert execution.columns is not None
+        light = self._param_generator.light(execution.columns.values, *sides_of_list(images))
+        return _added(light[:, None].to(compute_dtype(like)))
+
+
+def _added(light: Tensor) -> Operation:
+    return layered(light, 1.0, 0.0, 1.0, 0.0)
+
+
+class RandomGaussianIllumination(Illumination, keeps_contract=True):
     """Add a patch of light or shade with the form of a Gaussian function.
 
     Args:
@@ -41,8 +64,6 @@ class RandomGaussianIllumination(IntensityAugmentationBase2D, keeps_contract=Tru
         tensor([[[[0.0000, 0.5000, 0.0000]]]])
     """
 
-    accepts_bytes = False
-
     def __init__(
         self,
         gain: Numbers = (0.01, 0.15),
@@ -57,13 +78,8 @@ class RandomGaussianIllumination(IntensityAugmentationBase2D, keeps_contract=Tru
         super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
         self._param_generator = GaussianIlluminationGenerator(gain, center, sigma, sign)
 
-    def apply_transform(
-        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
-    ) -> Tensor:
-        return _lit(input, params)
 
-
-class RandomLinearIllumination(IntensityAugmentationBase2D, keeps_contract=True):
+class RandomLinearIllumination(Illumination, keeps_contract=True):
     """Add light or shade that grows toward an edge of the image.
 
     Args:
@@ -83,8 +99,6 @@ class RandomLinearIllumination(IntensityAugmentationBase2D, keeps_contract=True)
         tensor(1.)
     """
 
-    accepts_bytes = False
-
     def __init__(
         self,
         gain: Numbers = (0.01, 0.2),
@@ -97,13 +111,8 @@ class RandomLinearIllumination(IntensityAugmentationBase2D, keeps_contract=True)
         super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
         self._param_generator = LinearIlluminationGenerator(gain, sign)
 
-    def apply_transform(
-        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
-    ) -> Tensor:
-        return _lit(input, params)
 
-
-class RandomLinearCornerIllumination(IntensityAugmentationBase2D, keeps_contract=True):
+class RandomLinearCornerIllumination(Illumination, keeps_contract=True):
     """Add light or shade that grows toward a corner of the image.
 
     Args:
@@ -123,8 +132,6 @@ class RandomLinearCornerIllumination(IntensityAugmentationBase2D, keeps_contract
         tensor(0.5000)
     """
 
-    accepts_bytes = False
-
     def __init__(
         self,
         gain: Numbers = (0.01, 0.2),
@@ -136,12 +143,3 @@ class RandomLinearCornerIllumination(IntensityAugmentationBase2D, keeps_contract
     ) -> None:
         super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
         self._param_generator = LinearCornerIlluminationGenerator(gain, sign)
-
-    def apply_transform(
-        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
-    ) -> Tensor:
-        return _lit(input, params)
-
-
-def _lit(image: Tensor, params: Params) -> Tensor:
-    return clamp(clamp(image, 0, 1) + params["gradient"], 0, 1)

@@ -5,20 +5,43 @@ Source: A. Nicolaou et al., "TorMentor: deterministic dynamic-path, data augment
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from torch import Tensor
 
-from kvision._clamp import clamp
-from kvision.augmentation.engine import Params
-from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
+from kvision._dtype import compute_dtype
+from kvision.augmentation.corruption.layer import layered
+from kvision.augmentation.corruption.layer_base import LayerAugmentation
+from kvision.augmentation.engine import Execution, Params
 from kvision.augmentation.random_generator.plasma import PlasmaGenerator
 from kvision.augmentation.ranges import Numbers
+from kvision.geometry.transform.lists.arguments import sizes
+from kvision.geometry.transform.lists.kept_sizes import Operation
 
 __all__ = ["RandomPlasmaBrightness", "RandomPlasmaContrast", "RandomPlasmaShadow"]
 
 
-class RandomPlasmaBrightness(IntensityAugmentationBase2D, keeps_contract=True):
+class PlasmaAugmentation(LayerAugmentation, keeps_contract=True):
+    """Base of augmentations whose layer is a fractal map, or follows from one."""
+
+    _param_generator: PlasmaGenerator
+
+    def _layered(self, plasma: Tensor, params: Params) -> Operation:
+        """The operator for maps of the type that is computed in."""
+        raise NotImplementedError(f"{type(self).__name__}._layered")
+
+    def _operation(self, like: Tensor, params: Params) -> Operation:
+        return self._layered(params["plasma"].to(like.device, compute_dtype(like)), params)
+
+    def _operation_on_list(self, images: Sequence[Tensor], like: Tensor, execution: Execution) -> Operation:
+        assert execution.columns is not None
+        values, noise = execution.columns.values, self._pixel_noise(execution, execution.redraw, like.device)
+        plasma = self._param_generator.plasma(values, like.shape[1], sizes(images), noise)
+        return self._layered(plasma.to(compute_dtype(like)), self._named(values, execution))
+
+
+class RandomPlasmaBrightness(PlasmaAugmentation, keeps_contract=True):
     """Add a fractal map to images.
 
     Args:
@@ -37,8 +60,6 @@ class RandomPlasmaBrightness(IntensityAugmentationBase2D, keeps_contract=True):
         tensor([[[[1., 1.]]]])
     """
 
-    accepts_bytes = False
-
     def __init__(
         self,
         roughness: Numbers = (0.1, 0.7),
@@ -53,14 +74,12 @@ class RandomPlasmaBrightness(IntensityAugmentationBase2D, keeps_contract=True):
             "RandomPlasmaBrightness", roughness, (intensity, "intensity", None, None)
         )
 
-    def apply_transform(
-        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
-    ) -> Tensor:
-        change = (2 * params["plasma"] - 1) * params["intensity"][:, None, None, None]
-        return clamp(clamp(input, 0, 1) + change, 0, 1)
+    def _layered(self, plasma: Tensor, params: Params) -> Operation:
+        intensity = params["intensity"].to(plasma)[:, None]
+        return layered(plasma, 1.0, 0.0, 2 * intensity, -intensity)
 
 
-class RandomPlasmaContrast(IntensityAugmentationBase2D, keeps_contract=True):
+class RandomPlasmaContrast(PlasmaAugmentation, keeps_contract=True):
     """Multiply the contrast of images by four times a fractal map.
 
     Args:
@@ -78,8 +97,6 @@ class RandomPlasmaContrast(IntensityAugmentationBase2D, keeps_contract=True):
         tensor([[[[0.5000, 0.5000]]]])
     """
 
-    accepts_bytes = False
-
     def __init__(
         self,
         roughness: Numbers = (0.1, 0.7),
@@ -91,13 +108,11 @@ class RandomPlasmaContrast(IntensityAugmentationBase2D, keeps_contract=True):
         super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
         self._param_generator = PlasmaGenerator("RandomPlasmaContrast", roughness)
 
-    def apply_transform(
-        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
-    ) -> Tensor:
-        return clamp((clamp(input, 0, 1) - 0.5) * (4 * params["plasma"]) + 0.5, 0, 1)
+    def _layered(self, plasma: Tensor, params: Params) -> Operation:
+        return layered(plasma, 0.0, 4.0, -2.0, 0.5)
 
 
-class RandomPlasmaShadow(IntensityAugmentationBase2D, keeps_contract=True):
+class RandomPlasmaShadow(PlasmaAugmentation, keeps_contract=True):
     """Shade images where a fractal map is low, equally in all channels.
 
     Args:
@@ -118,8 +133,6 @@ class RandomPlasmaShadow(IntensityAugmentationBase2D, keeps_contract=True):
         tensor([[[[0.5000, 0.5000]]]])
     """
 
-    accepts_bytes = False
-
     def __init__(
         self,
         roughness: Numbers = (0.1, 0.7),
@@ -139,9 +152,7 @@ class RandomPlasmaShadow(IntensityAugmentationBase2D, keeps_contract=True):
             one_channel=True,
         )
 
-    def apply_transform(
-        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
-    ) -> Tensor:
-        intensity, quantity = (params[name][:, None, None, None] for name in ("shade_intensity", "shade_quantity"))
-        shade = (params["plasma"] < quantity) * intensity
-        return clamp(clamp(input, 0, 1) + shade, 0, 1)
+    def _layered(self, plasma: Tensor, params: Params) -> Operation:
+        intensity, quantity = (params[name].to(plasma)[:, None] for name in ("shade_intensity", "shade_quantity"))
+        shade = (plasma < quantity[:, :, None, None]).to(plasma)
+        return layered(shade, 1.0, 0.0, intensity, 0.0)

@@ -186,7 +186,7 @@ def _snow(
 
 
 def _frost(x: Tensor, drawn: Params, of_image: float, of_frost: float) -> Tensor:
-    return frosted(drawn["module"], drawn, x, of_image, of_frost)
+    return frosted(drawn["module"], drawn, x, of_image, of_frost)(x)
 
 
 def _fog(x: Tensor, drawn: Params, amount: float, roughness: float) -> Tensor:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import torch
@@ -12,10 +13,12 @@ from kvision._constants import constant
 from kvision._modes import BLOCK_VALUE
 from kvision.augmentation import ranges
 from kvision.augmentation.corruption.pixelate import pixelate
-from kvision.augmentation.engine import Params
+from kvision.augmentation.engine import Execution, Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
+from kvision.augmentation.lists.sides import sizes_of_list
 from kvision.augmentation.random_generator.mapped import MappedGenerator
 from kvision.augmentation.ranges import Numbers
+from kvision.geometry.transform.lists.kept_sizes import Operation
 
 
 class Downscale(IntensityAugmentationBase2D, keeps_contract=True):
@@ -55,11 +58,21 @@ class Downscale(IntensityAugmentationBase2D, keeps_contract=True):
             op="Downscale",
         )
 
+    filters_chosen = True
+
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
-        scale = params["scale"].to(input.device, torch.float64)[:, None]
-        counts = (scale * constant(tuple(input.shape[-2:]), scale)).round().clamp(min=1)
-        value = BLOCK_VALUE["mean" if self.antialias else "pixel"]
-        blocks: Tensor = pixelate(input, counts.float(), value)
-        return blocks
+        return self._operation(input, params)(input)
+
+    def _operation(self, like: Tensor, params: Params) -> Operation:
+        sides = constant(tuple(like.shape[-2:]), like, torch.float64)
+        return self._blocks(params["scale"].to(like.device, torch.float64), sides)
+
+    def _operation_on_list(self, images: Sequence[Tensor], like: Tensor, execution: Execution) -> Operation:
+        scale = self._params_on_device(like, execution, for_users=False)["scale"]
+        return self._blocks(scale.to(like.device, torch.float64), sizes_of_list(images))
+
+    def _blocks(self, scale: Tensor, sides: Tensor) -> Operation:
+        counts = (scale[:, None] * sides).round().clamp(min=1)
+        return Operation(pixelate, (counts.float(), BLOCK_VALUE["mean" if self.antialias else "pixel"]))

@@ -11,6 +11,8 @@ from kvision._clamp import clamp
 from kvision._constants import constant
 from kvision._dtype import compute_dtype
 from kvision._ops import match_layout, register
+from kvision.geometry.transform.lists.arguments import row
+from kvision.geometry.transform.lists.kept_sizes import Operation, register_filter
 
 
 def _reference(images: Tensor, layer: Tensor, windows: Tensor | None, factors: Tensor) -> Tensor:
@@ -40,9 +42,24 @@ def _cut(layers: Tensor, windows: Tensor, size: Sequence[int]) -> Tensor:
 add_layer = register("add_layer", _reference, bytes=True, casts_outputs=True)
 
 
+def _of_sample(b: int, layer: Tensor, windows: Tensor | None, factors: Tensor) -> tuple[Tensor, ...]:
+    """The arguments of an image of a list: without windows the upper left part of its layer."""
+    if windows is None:
+        layer, windows = row(layer, b), torch.zeros(1, 3, dtype=torch.int64, device=layer.device)
+    else:
+        windows = windows[b : b + 1]
+    return layer, windows, row(factors, b)
+
+
+register_filter("add_layer_list", add_layer, _of_sample)
+
+
+def layered(layer: Tensor, *factors: Tensor | float, windows: Tensor | None = None) -> Operation:
+    """Images behind a layer, by the factors a, b, c and d: numbers, or (B or 1, C or 1), of the type that is computed in."""
+    each = [f.to(layer) if isinstance(f, Tensor) else constant(((f,),), layer) for f in factors]
+    return Operation(add_layer, (layer, windows, torch.stack(torch.broadcast_tensors(*each), -1)))
+
+
 def behind(x: Tensor, layer: Tensor, *factors: Tensor | float, windows: Tensor | None = None) -> Tensor:
-    """Images behind a layer, by the factors a, b, c and d: numbers, or (B or 1, C or 1)."""
-    own = compute_dtype(x)
-    each = [f.to(own) if isinstance(f, Tensor) else constant(((f,),), layer, own) for f in factors]
-    y: Tensor = add_layer(x, layer.to(own), windows, torch.stack(torch.broadcast_tensors(*each), -1))
-    return y
+    """Images behind a layer, as :func:`layered` says."""
+    return layered(layer.to(compute_dtype(x)), *factors, windows=windows)(x)

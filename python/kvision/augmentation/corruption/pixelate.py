@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 import torch.nn.functional as F
 from torch import Tensor
@@ -10,6 +12,8 @@ from kvision._dtype import compute_dtype
 from kvision._limits import MAX_PIXELATE_ROW, MAX_PIXELATE_SIDE
 from kvision._modes import BLOCK_VALUE
 from kvision._ops import match_layout, register, without_autocast_and_tf32
+from kvision.geometry.transform.lists.arguments import largest_shape, row
+from kvision.geometry.transform.lists.kept_sizes import register_filter
 
 
 @without_autocast_and_tf32
@@ -47,12 +51,21 @@ def _weights(size: int, count: Tensor, value: int) -> Tensor:
 
 
 def _supports(images: Tensor, *_: object) -> str | None:
+    return _serves(tuple(images.shape), images)
+
+
+def _supports_list(images: Sequence[Tensor], *_: object) -> str | None:
+    return _serves(largest_shape(images), images[0])
+
+
+def _serves(shape: tuple[int, ...], like: Tensor) -> str | None:
     """Positions fit 32 bits, and on CUDA a row fits shared memory."""
-    height, width = images.shape[-2:]
-    row = width * (1 if images.is_contiguous() else images.shape[1])
-    if max(height, width) > MAX_PIXELATE_SIDE or (images.is_cuda and row > MAX_PIXELATE_ROW):
-        return f"there is no kernel for images as large as {tuple(images.shape)}"
+    height, width = shape[-2:]
+    row_size = width * (1 if like.is_contiguous() else shape[1])
+    if max(height, width) > MAX_PIXELATE_SIDE or (like.is_cuda and row_size > MAX_PIXELATE_ROW):
+        return f"there is no kernel for images as large as {shape}"
     return None
 
 
 pixelate = register("pixelate", _reference, bytes=True, supports=_supports)
+register_filter("pixelate_list", pixelate, lambda b, counts, value: (row(counts, b), value), supports=_supports_list)

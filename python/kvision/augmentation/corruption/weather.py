@@ -15,9 +15,11 @@ from kvision._dtype import compute_dtype
 from kvision.augmentation import ranges
 from kvision.augmentation.corruption.drops import drop_depths, drop_reliefs
 from kvision.augmentation.corruption.glass import reach_of
-from kvision.augmentation.corruption.layer import behind
-from kvision.augmentation.engine import Params
+from kvision.augmentation.corruption.layer import behind, layered
+from kvision.augmentation.corruption.layer_base import LayerAugmentation
+from kvision.augmentation.engine import Execution, Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
+from kvision.augmentation.lists.sides import sizes_of_list
 from kvision.augmentation.random_generator.mapped import MappedGenerator, NoiseMap
 from kvision.augmentation.random_generator.plasma import PlasmaGenerator
 from kvision.augmentation.ranges import Numbers
@@ -25,6 +27,8 @@ from kvision.augmentation.samples import per_sample
 from kvision.core.exceptions import ShapeError, TypeCheckError
 from kvision.enhance.equalize import equalize
 from kvision.filters.smoothing.gaussian import gaussian_blur2d
+from kvision.geometry.transform.lists.arguments import largest_shape
+from kvision.geometry.transform.lists.kept_sizes import Operation
 
 SpatterMode: TypeAlias = Literal["rain", "mud"]
 _COLORS = {"rain": (175 / 255, 238 / 255, 238 / 255), "mud": (63 / 255, 42 / 255, 20 / 255)}
@@ -96,28 +100,41 @@ def as_textures(op: str, texture: Any) -> Tensor:
     return textures.float() / 255 if textures.dtype == torch.uint8 else textures.detach()
 
 
-def frosted(module: Any, params: Params, x: Tensor, of_image: Tensor | float, of_frost: Tensor | float) -> Tensor:
+def frosted(
+    module: Any,
+    params: Params,
+    x: Tensor,
+    of_image: Tensor | float,
+    of_frost: Tensor | float,
+    images: Sequence[Tensor] | None = None,
+) -> Operation:
     """Images, and of the textures of a module a window for each, by weights: uniform numbers `texture`, `top`, `left` choose it.
 
-    Images of other than 3 channels get the mean of a texture. Textures move to the device of the first images.
+    Images of other than 3 channels get the mean of a texture. Textures move to the device of the first images. Those of a list
+    are like a batch `x`.
     """
     if module.texture.device != x.device:
         module.texture = module.texture.to(x.device)
     op, textures = type(module).__name__, module.texture
-    (count, _, tall, wide), (height, width) = textures.shape, x.shape[-2:]
+    count, _, tall, wide = textures.shape
+    height, width = x.shape[-2:] if images is None else largest_shape(images)[-2:]
     if tall < height or wide < width:
         raise ShapeError(f"{op}: expected texture of at least {height} x {width} pixels, got {tall} x {wide}")
     u = torch.stack([params[name].to(x.device, torch.float64) for name in ("texture", "top", "left")], 1)
     # Numbers below 1 may have been rounded to it, which the operator clamps.
-    windows = (u * constant((count, tall - height + 1, wide - width + 1), u)).long()
+    if images is None:
+        places = constant((count, tall - height + 1, wide - width + 1), u)
+    else:
+        free = constant((tall + 1, wide + 1), u) - sizes_of_list(images)
+        places = torch.cat([torch.full_like(u[:, :1], count), free], 1)
     own = textures if x.shape[1] == textures.shape[1] else textures.mean(1, keepdim=True)
-    return behind(x, own, of_image, 0.0, of_frost, 0.0, windows=windows)
+    return layered(own.to(compute_dtype(x)), of_image, 0.0, of_frost, 0.0, windows=(u * places).long())
 
 
 WINDOW = [((0.0, 1.0), name, None, None) for name in ("texture", "top", "left")]  # what `frosted` takes
 
 
-class RandomFrost(IntensityAugmentationBase2D, keeps_contract=True):
+class RandomFrost(LayerAugmentation, keeps_contract=True):
     """Add windows of pictures of frost, which the user has, to darkened images.
 
     Args:
@@ -160,12 +177,13 @@ class RandomFrost(IntensityAugmentationBase2D, keeps_contract=True):
             op="RandomFrost",
         )
 
-    def apply_transform(
-        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
-    ) -> Tensor:
+    def _operation(self, like: Tensor, params: Params, images: Sequence[Tensor] | None = None) -> Operation:
         names = ("image_weight", "frost_weight")
-        of_image, of_frost = (params[name].to(input.device, compute_dtype(input))[:, None] for name in names)
-        return frosted(self, params, input, of_image, of_frost)
+        of_image, of_frost = (params[name].to(like.device, compute_dtype(like))[:, None] for name in names)
+        return frosted(self, params, like, of_image, of_frost, images)
+
+    def _operation_on_list(self, images: Sequence[Tensor], like: Tensor, execution: Execution) -> Operation:
+        return self._operation(like, self._params_on_device(like, execution, for_users=False), images)
 
 
 class Spatter(IntensityAugmentationBase2D, keeps_contract=True):

@@ -372,9 +372,12 @@ class Executor(Declaration):
             type(self)._operation is not Executor._operation
             and not self._is_customized()
             and (
-                self.fuses_noise and dtype != torch.float64
-                if is_per_pixel
-                else self.keeps_unchosen or self.fuses_noise or self.filters_chosen
+                self.filters_chosen
+                or (
+                    self.fuses_noise and dtype != torch.float64
+                    if is_per_pixel
+                    else self.keeps_unchosen or self.fuses_noise
+                )
             )
             and self._result_dtype(dtype) == dtype
             and (self.accepts_bytes or dtype != torch.uint8)
@@ -385,7 +388,11 @@ class Executor(Declaration):
         like = smallest_batch(images) if self.filters_chosen else like_batch(images)
         columns = None if execution.is_certain else execution.columns
         chosen = None if columns is None or columns.chosen is None else columns.chosen.float()
-        return self._operation(like, self._params_on_device(like, execution, for_users=False)).on_list(images, chosen)
+        return self._operation_on_list(images, like, execution).on_list(images, chosen)
+
+    def _operation_on_list(self, images: Sequence[Tensor], like: Tensor, execution: Execution) -> Operation:
+        """The operator for a list, like a batch: that of its images, or where it depends on their sizes another one."""
+        return self._operation(like, self._params_on_device(like, execution, for_users=False))
 
     @kept
     def _needs_no_matrix(self) -> bool:

@@ -106,7 +106,3 @@ class ErasingDropout(DropoutBase, keeps_contract=True):
         operation = self._operation_on_list(images, like, execution)
         has_columns = self.keeps_unchosen and execution.params is None
         return erased_where(operation, None if has_columns else execution.chosen).on_list(images)
-
-    def _operation_on_list(self, images: Sequence[Tensor], like: Tensor, execution: Execution) -> Operation:
-        """The operator for a list, like a batch of which there may be images that are not chosen."""
-        return self._operation(like, self._params_on_device(like, execution, for_users=False))

@@ -8,9 +8,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from kvision._torch_compat import linspace
 from kvision.augmentation import ranges
 from kvision.augmentation.draws import integer
+from kvision.augmentation.lists.sides import Side
 from kvision.augmentation.random_generator.base import RandomGeneratorBase, Shape
 from kvision.augmentation.ranges import Numbers
 
@@ -22,7 +22,19 @@ _Parts = tuple[tuple[float | Tensor, Tensor], tuple[float | Tensor, Tensor]]
 # Maps are computed in float64 and rounded, so that they do not depend on the device.
 
 
-class GaussianIlluminationGenerator(RandomGeneratorBase):
+class IlluminationGenerator(RandomGeneratorBase):
+    """Base of generators whose columns say how the light falls."""
+
+    def light(self, columns: Tensor, down: Side, right: Side) -> Tensor:
+        """The maps (B, H, W) of images with these sides. Those of lists are as large as the longest ones."""
+        raise NotImplementedError(f"{type(self).__name__}.light")
+
+    def to_params(self, columns: Tensor, shape: Shape) -> dict[str, Tensor]:
+        down, right = (Side(size, size) for size in shape[-2:])
+        return {"gradient": self.light(columns, down, right)[:, None].expand(*shape)}
+
+
+class GaussianIlluminationGenerator(IlluminationGenerator):
     """Draws the parameters of :class:`RandomGaussianIllumination`.
 
     Args:
@@ -62,14 +74,18 @@ class GaussianIlluminationGenerator(RandomGeneratorBase):
         center, sigma = self._center.uniform(), self._sigma.uniform()
         return [self._gain.uniform(), self._sign.uniform(), center, center, sigma, sigma]
 
-    def to_params(self, columns: Tensor, shape: Shape) -> dict[str, Tensor]:
+    def light(self, columns: Tensor, down: Side, right: Side) -> Tensor:
         gain, sign, center_x, center_y, sigma_x, sigma_y = columns.double().unbind(1)
-        height, width = shape[-2:]
-        bump = _bump(center_y, sigma_y, height)[:, :, None] * _bump(center_x, sigma_x, width)[:, None]
-        return {"gradient": _light(bump, gain, sign, shape).to(columns.dtype)}
+        rows, columns_of_map = _bump(center_y, sigma_y, down), _bump(center_x, sigma_x, right)
+        low, high = (
+            (of_rows * of_columns)[:, :, None]
+            for of_rows, of_columns in zip(down.extremes(rows), right.extremes(columns_of_map))
+        )
+        stretched = (rows[:, :, None] * columns_of_map[:, None] - low) / (high - low).clamp(min=1e-12)
+        return (_signed(gain, sign)[:, None, None] * stretched).to(columns.dtype)
 
 
-class LinearIlluminationGenerator(RandomGeneratorBase):
+class LinearIlluminationGenerator(IlluminationGenerator):
     """Draws the parameters of :class:`RandomLinearIllumination`.
 
     Args:
@@ -99,17 +115,17 @@ class LinearIlluminationGenerator(RandomGeneratorBase):
     def draws(self, shape: Shape) -> Sequence[Any]:
         return [self._gain.uniform(), self._sign.uniform(), integer(0, 3)]
 
-    def to_params(self, columns: Tensor, shape: Shape) -> dict[str, Tensor]:
+    def light(self, columns: Tensor, down: Side, right: Side) -> Tensor:
         gain, sign, direction = columns.double().unbind(1)
-        light, parts = _signed(gain, sign), self._parts(direction, shape)
-        down, right = (
-            _ramp(size, light * weight, is_reversed).to(columns.dtype)
-            for size, (weight, is_reversed) in zip(shape[-2:], parts)
-        )  # rows and columns, whose sum is the map
-        return {"gradient": (down[:, :, None] + right[:, None])[:, None].expand(*shape)}
+        light, parts = _signed(gain, sign), self._parts(direction, down, right)
+        rows, columns_of_map = (
+            _ramp(side, light * weight, is_reversed).to(columns.dtype)
+            for side, (weight, is_reversed) in zip((down, right), parts)
+        )  # whose sum is the map
+        return rows[:, :, None] + columns_of_map[:, None]
 
     @staticmethod
-    def _parts(direction: Tensor, shape: Shape) -> _Parts:
+    def _parts(direction: Tensor, down: Side, right: Side) -> _Parts:
         """The ramps toward the lower, upper, right and left edge."""
         is_down, is_reversed = direction < 2, direction % 2
         return (is_down, is_reversed), (~is_down, is_reversed)
@@ -138,32 +154,36 @@ class LinearCornerIlluminationGenerator(LinearIlluminationGenerator):
     _op = "RandomLinearCornerIllumination"
 
     @staticmethod
-    def _parts(direction: Tensor, shape: Shape) -> _Parts:
+    def _parts(direction: Tensor, down: Side, right: Side) -> _Parts:
         """The ramps toward the lower right, lower left, upper right and upper left corner."""
-        weight = 0.5 if min(shape[-2:]) > 1 else 1.0  # the ramps of both axes add up to 1
+        weight = _half_of_two(down, right)  # the ramps of both axes add up to 1
         return (weight, (direction >= 2).to(direction)), (weight, direction % 2)
 
 
-def _ramp(size: int, light: Tensor, is_reversed: Tensor) -> Tensor:
+def _half_of_two(down: Side, right: Side) -> float | Tensor:
+    """1/2, but 1 for images of which a side has one pixel."""
+    if isinstance(down.size, Tensor) and isinstance(right.size, Tensor):
+        return torch.where(torch.minimum(down.size, right.size) > 1, 0.5, 1.0)[:, 0]
+    return 0.5 if min(down.longest, right.longest) > 1 else 1.0
+
+
+def _ramp(side: Side, light: Tensor, is_reversed: Tensor) -> Tensor:
     """From 0 to light (B,) along an axis, or back where `is_reversed` (B,) is 1: (B, size); 0 along one pixel."""
-    if size == 1:
+    if side.longest == 1:
         return torch.zeros_like(light)[:, None]
-    ramp = linspace(0, 1, size, light)
-    return light[:, None] * (is_reversed[:, None] - ramp).abs()
+    at, most = side.positions(light), side.size - 1
+    step = 1 / (most.clamp(min=1) if isinstance(most, Tensor) else most)
+    ramp = torch.where(2 * at < most, step * at, 1 - step * (most - at))  # to 1 exactly
+    lit = light[:, None] * (is_reversed[:, None] - ramp).abs()
+    return torch.where(most > 0, lit, 0.0) if isinstance(most, Tensor) else lit
 
 
-def _bump(center: Tensor, sigma: Tensor, size: int) -> Tensor:
+def _bump(center: Tensor, sigma: Tensor, side: Side) -> Tensor:
     """A Gaussian function (B, size) along an axis, 1 at the pixel next to the center."""
-    at = torch.arange(size, dtype=torch.float64, device=center.device)
-    squares = (at - (center * size - 0.5)[:, None]) ** 2
-    return ((squares.amin(1, keepdim=True) - squares) / (2 * (sigma * size).clamp(min=1e-6) ** 2)[:, None]).exp()
-
-
-def _light(maps: Tensor, gain: Tensor, sign: Tensor, shape: Shape) -> Tensor:
-    """Maps (B, H, W), stretched to 0 and 1, times gain and sign."""
-    low, high = (extreme((1, 2), keepdim=True) for extreme in (maps.amin, maps.amax))
-    stretched = (maps - low) / (high - low).clamp(min=1e-12)
-    return (_signed(gain, sign)[:, None, None] * stretched)[:, None].expand(*shape)
+    center, sigma = center[:, None], sigma[:, None]
+    squares = (side.positions(center) - (center * side.size - 0.5)) ** 2
+    nearest, _ = side.extremes(squares)
+    return ((nearest - squares) / (2 * (sigma * side.size).clamp(min=1e-6) ** 2)).exp()
 
 
 def _signed(gain: Tensor, sign: Tensor) -> Tensor:

@@ -24,5 +24,8 @@ class PlasmaGenerator(PlainUniformGenerator):
         self._one_channel = one_channel
 
     def pixel_params(self, columns: Tensor, shape: Shape, noise: PixelNoise) -> dict[str, Tensor]:
-        channels = 1 if self._one_channel else shape[1]
-        return {"plasma": fractal_noise(columns[:, 0], noise, (channels, *shape[-2:]))}
+        return {"plasma": self.plasma(columns, shape[1], shape[-2:], noise)}
+
+    def plasma(self, columns: Tensor, channels: int, sides: Sequence[int], noise: PixelNoise) -> Tensor:
+        """The maps of images of so many channels, of one height and width, or of those of each; as large as the largest."""
+        return fractal_noise(columns[:, 0], noise, (1 if self._one_channel else channels, *sides))

@@ -24,21 +24,20 @@ def runs_on_lists(operator: Operator) -> bool:
 
 
 class Operation(NamedTuple):
-    """An operator that has a kernel for lists, and its arguments behind the images."""
+    """An operator that has a kernel for lists, and its arguments behind the images. Of several results the first one counts."""
 
     operator: Operator
     arguments: Arguments
 
     def __call__(self, images: Tensor) -> Tensor:
-        y: Tensor = self.operator(images, *self.arguments)
-        return y
+        return _first(self.operator(images, *self.arguments))
 
     def on_list(self, images: Sequence[Tensor], chosen: Tensor | None = None) -> list[Tensor]:
         """The results of images (C, H, W) of different sizes.
 
         Those of filters copy images that are not `chosen`, (B,) float32; None for all.
         """
-        if self.operator.non_differentiable:
+        if 0 in self.operator.non_differentiable:
             images = [x.detach() for x in images]
         operator = _OF_LISTS[self.operator]
         first = (chosen,) if operator in _FILTERS else ()
@@ -61,11 +60,7 @@ def register_list(
             default: those of the reference.
     """
 
-    def of_reference(needs: Sequence[bool], grad: Tensor, *args: Any) -> Sequence[Tensor | None]:
-        wanted = [*needs, *(False,) * (len(args) - len(needs))]
-        return of.differentiate_reference(wanted, grad, *args)
-
-    of_batch = backward or of_reference
+    of_batch = backward or _of_reference(of)
 
     def reference(images: Sequence[Tensor], *args: Any) -> list[Tensor]:
         return [of.reference(x[None], *of_sample(b, *args))[0] for b, x in enumerate(images)]
@@ -82,8 +77,22 @@ def register_list(
     return _register(name, of, reference, gradients)
 
 
+def _of_reference(of: Operator) -> Callable[..., Sequence[Tensor | None]]:
+    """The gradients of the first tensors of a batch by the reference."""
+
+    def gradients(needs: Sequence[bool], grad: Tensor, *args: Any) -> Sequence[Tensor | None]:
+        wanted = [*needs, *(False,) * (len(args) - len(needs))]
+        return of.differentiate_reference(wanted, grad, *args)
+
+    return gradients
+
+
 def _register(
-    name: str, of: Operator, reference: Callable[..., list[Tensor]], gradients: Callable[..., list[Any]]
+    name: str,
+    of: Operator,
+    reference: Callable[..., list[Tensor]],
+    gradients: Callable[..., list[Any]],
+    supports: Callable[..., str | None] = lambda *args: None,
 ) -> ListOperator:
     """The operator on lists, whose results have the sizes of the images."""
     _OF_LISTS[of] = ListOperator(
@@ -92,6 +101,7 @@ def _register(
         reference,
         fake=lambda images, *args: lists.fake_results(images, [n for x in images for n in x.shape[-2:]]),
         backward=gradients,
+        supports=supports,
     )
     return _OF_LISTS[of]
 
@@ -100,8 +110,9 @@ def register_filter(
     name: str,
     of: Operator,
     of_sample: Callable[..., Arguments],
-    backward: Callable[..., Sequence[Tensor | None]],
+    backward: Callable[..., Sequence[Tensor | None]] | None = None,
     transposed: Operator | None = None,
+    supports: Callable[..., str | None] = lambda *args: None,
 ) -> None:
     """The operator on lists of a filter.
 
@@ -113,12 +124,15 @@ def register_filter(
         of: the operator on batches.
         of_sample: the arguments behind the images of sample b, for its number and those of all.
         backward: the gradients of the images of a batch and of the tensors behind them, for which of them are wanted, the
-            gradient, the images and the arguments.
+            gradient, the images and the arguments; default: those of the reference.
         transposed: the operator on lists of which gives the gradients of the images at once, instead of `backward`.
+        supports: why the kernel does not serve a list and these arguments, or None.
     """
 
+    of_batch = backward or _of_reference(of)
+
     def reference(images: Sequence[Tensor], chosen: Tensor | None, *args: Any) -> list[Tensor]:
-        each = [of.reference(x[None], *of_sample(b, *args))[0] for b, x in enumerate(images)]
+        each = [_first(of.reference(x[None], *of_sample(b, *args)))[0] for b, x in enumerate(images)]
         if chosen is None:
             return each
         return [torch.where(own != 0, y, x) for own, y, x in zip(chosen.expand(len(images)).unbind(), each, images)]
@@ -135,7 +149,7 @@ def register_filter(
             return [of_images, None, *(None,) * (len(needs) - 1)]
         each = []
         for b, (g, x) in enumerate(zip(grads, images)):
-            own, *others = backward(needs, g[None], x[None], *of_sample(b, *args))
+            own, *others = of_batch(needs, g[None], x[None], *of_sample(b, *args))
             if chosen is not None:
                 is_own = row(chosen, b) != 0
                 own = None if own is None else torch.where(is_own, own, g[None])
@@ -145,7 +159,12 @@ def register_filter(
         of_images = [g[0] for g in own_images] if needs[0] else of_images
         return [of_images, None, *(None if t[0] is None else _of_all(t, x) for t, x in zip(more, args))]
 
-    _FILTERS.add(_register(name, of, reference, gradients))
+    _FILTERS.add(_register(name, of, reference, gradients, supports))
+
+
+def _first(results: Any) -> Tensor:
+    y: Tensor = results if isinstance(results, Tensor) else results[0]
+    return y
 
 
 def _of_all(each: Sequence[Tensor], like: Tensor) -> Tensor:

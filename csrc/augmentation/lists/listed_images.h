@@ -1,0 +1,72 @@
+// Operators on lists of images of different sizes that change the images which are chosen, for their entries.
+#pragma once
+
+#include "augmentation/noise_glue.h"
+#include "color/lists/program_list_glue.h"
+#include "core/stencils/filter_list.h"
+#include "geometry/transform/lists/list_glue.h"
+
+namespace kv::augmentation {
+
+using OptionalTensor = std::optional<Tensor>;
+
+// Images (C, H, W), and which of them are changed, (B,) float32; the others are copied.
+struct ListedImages {
+  geometry::KeptSizes kept;
+  OptionalTensor const& chosen;
+  Tensors images;  // in the layout of the results
+
+  // `dense`: those are copied, too, whose rows do not follow each other.
+  ListedImages(char const* op, Tensors const& images, OptionalTensor const& chosen, bool dense = false)
+      : kept(op, images),
+        chosen(chosen),
+        images(dense ? color::in_pixel_rows(images, kept.layout) : geometry::in_layout(images, kept.layout)) {
+    check_chosen(op, chosen, like());
+  }
+  // Stands for a batch in checks.
+  Tensor const& like() const { return kept.largest; }
+  int64_t channels() const { return like().size(1); }
+  int64_t planes() const { return kept.interleaved() ? 1 : channels(); }
+
+  void check_window_fits(Border border, int64_t ky, int64_t kx) const {
+    check_window(kept.op, ky, kx);
+    for (Tensor const& x : images) {
+      check_border(kept.op, border, ky / 2, x.size(1));
+      check_border(kept.op, border, kx / 2, x.size(2));
+    }
+  }
+
+  // Runs a filter, `all` without images, on tables of at most kMaxListed samples: run(table, cost of an item).
+  template <class List, class Filter, class Run>
+  void filter(Filter const& all, int64_t cost_of_pixel, Run run) const {
+    auto const items_of = [&](geometry::Size size) {
+      return ceil_div(planes() * size.height, rows_of_item(size.width));
+    };
+    for_each_table<List>(all, items_of, [&](List const& list) {
+      run(list, cost_of_pixel * max(kItemPixels, like().size(3)) * channels() / planes());
+    });
+  }
+  // The same where an item is all pixels of a channel.
+  template <class List, class Filter, class Run>
+  void filter_channels(Filter const& all, int64_t cost_of_pixel, Run run) const {
+    for_each_table<List>(
+        all, [&](geometry::Size) { return channels(); },
+        [&](List const& list) { run(list, cost_of_pixel * like().size(2) * like().size(3)); });
+  }
+
+ private:
+  template <class List, class Filter, class ItemsOf, class Run>
+  void for_each_table(Filter const& all, ItemsOf items_of, Run run) const {
+    List list;
+    kept.for_each_table(list.list, images, items_of, [&](size_t first) {
+      list.all = all;
+      list.all.select(int64_t(first));
+      list.chosen_stride = chosen && chosen->size(0) > 1 ? chosen->stride(0) : 0;
+      list.chosen = chosen ? data_ptr<float const>(*chosen) + int64_t(first) * list.chosen_stride : nullptr;
+      list.channels = int(channels());
+      run(list);
+    });
+  }
+};
+
+}  // namespace kv::augmentation

@@ -1,0 +1,65 @@
+"""Augmentations of lists by an operator of layers, blocks or statistics of the image, which each image has alone, too."""
+
+import pytest
+import torch
+
+from augmentation.test_list_runs import is_by_passes
+from augmentation.test_lists import SMALL, pictures, seeds_of
+from kvision import augmentation as A
+from op_tests import assert_close
+
+FROST = torch.rand(2, 3, 90, 90)
+MAKE = {
+    "gaussian light": lambda **o: A.RandomGaussianIllumination(**o),
+    "linear light": lambda **o: A.RandomLinearIllumination(**o),
+    "light of a corner": lambda **o: A.RandomLinearCornerIllumination(**o),
+    "plasma brightness": lambda **o: A.RandomPlasmaBrightness(**o),
+    "plasma contrast": lambda **o: A.RandomPlasmaContrast(**o),
+    "plasma shadow": lambda **o: A.RandomPlasmaShadow(**o),
+    "frost": lambda **o: A.RandomFrost(FROST, **o),
+    "blocks": lambda **o: A.Downscale((0.2, 0.9), antialias=True, **o),
+    "equalized": lambda **o: A.RandomEqualize(**o),
+    "pixels": lambda **o: A.Downscale((0.2, 0.9), **o),
+}
+DTYPES = [torch.uint8, torch.float16, torch.bfloat16, torch.float32, torch.float64]
+
+
+@pytest.mark.parametrize("dtype", DTYPES, ids=str)
+@pytest.mark.parametrize("name", MAKE)
+def test_each_image_gets_what_it_gets_alone(name, dtype, device):
+    """In both layouts; its gradient, and a replay with the parameters, too."""
+    augment = A.AugmentationSequential(MAKE[name](p=0.7), data_keys=["input"])
+    is_byte = dtype == torch.uint8
+    images = pictures(device, [*SMALL, (1, 9), (7, 1)], dtype)
+    seeds = seeds_of(images)
+    for given in (images, [x.permute(1, 2, 0).contiguous().permute(2, 0, 1) for x in images]):
+        given = given if is_byte else [x.requires_grad_() for x in given]
+        results = augment(given, seed=seeds)
+        assert is_by_passes(augment)
+        params = augment._params
+        alone = [augment(x[None], seed=seeds[b : b + 1])[0] for b, x in enumerate(given)]
+        assert all(torch.equal(a, b) and a.stride() == b.stride() for a, b in zip(results, alone))
+        if not is_byte:
+            weights = [torch.rand_like(y) for y in results]
+            of_list, of_images = (
+                torch.autograd.grad(sum((y * w).sum() for y, w in zip(of, weights)), given) for of in (results, alone)
+            )
+            for a, b in zip(of_list, of_images):
+                assert_close(a, b, 2e-3, 2e-3)
+        for a, b in zip(results, augment(given, params=params)):
+            assert_close(a, b, *((0, 1) if is_byte else (8e-3, 8e-3)))
+
+
+@pytest.mark.parametrize("name", MAKE)
+def test_equal_sizes_are_a_batch(name, device):
+    augment, images = MAKE[name](p=0.7), [x[:, :15, :16].contiguous() for x in pictures(device, SMALL)]
+    for options in ({"seed": 3}, {}):
+        torch.manual_seed(0)
+        results = augment(images, **options)
+        torch.manual_seed(0)
+        assert all(torch.equal(a, b) for a, b in zip(results, augment(torch.stack(images), **options)))
+
+
+def test_images_as_large_as_frost(device):
+    with pytest.raises(ValueError, match="at least 95 x 20 pixels, got 90 x 90"):
+        A.RandomFrost(FROST.to(device))(pictures(device, [(95, 20), (20, 20)]))

@@ -24,7 +24,6 @@ BY_SIZE = {
         "RingingOvershoot",
     },
     "statistics or blocks of the whole image": {
-        "CommonCorruption",
         "RandomAutoContrast",
         "RandomClahe",
         "RandomJPEG",

@@ -20,13 +20,23 @@ from kvision.augmentation.corruption.blurs import mean_of_enlargements
 from kvision.augmentation.corruption.disk import disk_kernels
 from kvision.augmentation.corruption.glass import Moves, glass, reach_of
 from kvision.augmentation.corruption.moved import sum_of_moved
-from kvision.augmentation.corruption.noises import as_stored, in_units, photons
+from kvision.augmentation.corruption.noises import as_stored, drawing, in_units, photons
 from kvision.augmentation.corruption.pixelate import pixelate
 from kvision.augmentation.corruption.snow import add_snow
 from kvision.augmentation.corruption.weather import WINDOW, as_textures, fogged, frosted, spattered
-from kvision.augmentation.engine import Params, Shape
+from kvision.augmentation.engine import Execution, Params, Shape
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
-from kvision.augmentation.noise import BY_CHANNEL, CLAMP, MULTIPLY, PixelNoise, gaussian_noise, salt_and_pepper
+from kvision.augmentation.lists import filter_lists
+from kvision.augmentation.lists.sides import sizes_of_list
+from kvision.augmentation.noise import (
+    BY_CHANNEL,
+    CLAMP,
+    MULTIPLY,
+    PixelNoise,
+    gaussian_noise,
+    salt_and_pepper,
+    shot_noise,
+)
 from kvision.augmentation.random_generator.base import RandomGeneratorBase
 from kvision.augmentation.random_generator.mapped import Map, MappedGenerator, NoiseMap
 from kvision.augmentation.random_generator.plasma import PlasmaGenerator
@@ -35,8 +45,11 @@ from kvision.color.scale_shift import bytes_of_floats, floats_of_bytes
 from kvision.core.exceptions import ValueCheckError
 from kvision.enhance.contrast import adjust_contrast_with_mean_subtraction
 from kvision.enhance.jpeg import jpeg_codec_differentiable
-from kvision.filters.filter2d import filter2d
-from kvision.filters.smoothing.gaussian import gaussian_blur2d
+from kvision.filters.filter2d import filter_arguments
+from kvision.filters.smoothing.gaussian import blur_arguments, gaussian_blur2d
+from kvision.geometry.transform.lists.kept_sizes import Operation
+
+Images: TypeAlias = Sequence[Tensor] | None
 
 # Each of the functions below takes images in [0, 1], the noise and numbers that were drawn, in their type, and the parameters of
 # a severity.
@@ -46,8 +59,8 @@ def _gaussian_noise(x: Tensor, drawn: Params, deviation: float) -> Tensor:
     return x + deviation * drawn["noise"]
 
 
-def _shot_noise(x: Tensor, drawn: Params, photons: float) -> Tensor:
-    return _photons(x, drawn["noise"], photons)
+def _shot_noise(x: Tensor, drawn: Params, count: float) -> Tensor:
+    return photons(x, _mean_photons(x, count), drawn["noise"])
 
 
 _NO_IMPULSE = 0.5
@@ -65,34 +78,34 @@ class Impulses(NamedTuple):
 
     def draw(self, noise: PixelNoise, shape: Sequence[int], number: int) -> Tensor:
         """The map with a number of its own among those of an augmentation, float32."""
-        return _impulses(
-            torch.full(tuple(shape), _NO_IMPULSE, dtype=torch.float32, device=noise.device), noise, self.amount
-        )
+        no_impulses = torch.full(tuple(shape), _NO_IMPULSE, dtype=torch.float32, device=noise.device)
+        return _impulses(no_impulses, noise, self.amount)(no_impulses)
 
 
-# The same in one pass over images of any type, which draws the noise.
+# The same by one operator on images of any type, which draws the noise.
 
 
-def _photons(x: Tensor, noise: PixelNoise | Tensor, count: float) -> Tensor:
-    return photons(x, constant(((1 / count, 1.0),), x, compute_dtype(x)), noise)
+def _photons(x: Tensor, noise: PixelNoise, count: float) -> Operation:
+    return drawing(shot_noise, x, _mean_photons(x, count), noise)
 
 
-def _impulses(x: Tensor, noise: PixelNoise, amount: float) -> Tensor:
+def _mean_photons(x: Tensor, count: float) -> Tensor:
+    return constant(((1 / count, 1.0),), x, compute_dtype(x))
+
+
+def _impulses(x: Tensor, noise: PixelNoise, amount: float) -> Operation:
     parameters = constant(((amount, 0.5),), x, compute_dtype(x))
-    y: Tensor = salt_and_pepper(x, parameters, *noise.arguments(form=BY_CHANNEL))
-    return y
+    return Operation(salt_and_pepper, (parameters, *noise.arguments(form=BY_CHANNEL)))
 
 
-def _normal_terms(x: Tensor, noise: PixelNoise, deviation: float) -> Tensor:
+def _normal_terms(x: Tensor, noise: PixelNoise, deviation: float) -> Operation:
     parameters = constant(((0.0, deviation),), x, compute_dtype(x))
-    y: Tensor = gaussian_noise(x, parameters, *noise.arguments(form=CLAMP))
-    return y
+    return Operation(gaussian_noise, (parameters, *noise.arguments(form=CLAMP)))
 
 
-def _normal_factors(x: Tensor, noise: PixelNoise, deviation: float, form: int = MULTIPLY | CLAMP) -> Tensor:
+def _normal_factors(x: Tensor, noise: PixelNoise, deviation: float, form: int = MULTIPLY | CLAMP) -> Operation:
     parameters = constant(((1.0, deviation),), x, compute_dtype(x))
-    y: Tensor = gaussian_noise(x, parameters, *noise.arguments(form=form))
-    return y
+    return Operation(gaussian_noise, (parameters, *noise.arguments(form=form)))
 
 
 def _speckle_noise(x: Tensor, drawn: Params, deviation: float) -> Tensor:
@@ -106,13 +119,17 @@ class Factors(NamedTuple):
 
     def draw(self, noise: PixelNoise, shape: Sequence[int], number: int) -> Tensor:
         """The map with a number of its own among those of an augmentation, float32."""
-        return _normal_factors(
-            torch.ones(tuple(shape), dtype=torch.float32, device=noise.device), noise, self.deviation, MULTIPLY
-        )
+        ones = torch.ones(tuple(shape), dtype=torch.float32, device=noise.device)
+        return _normal_factors(ones, noise, self.deviation, MULTIPLY)(ones)
 
 
-def _gaussian_blur(x: Tensor, drawn: Params, sigma: float) -> Tensor:
-    return gaussian_blur2d(x, (2 * reach_of(sigma) + 1,) * 2, (sigma, sigma), "replicate")
+# Those that take `images` are one operator, for images like a batch or, where they are given, for a list of them.
+
+
+def _gaussian_blur(like: Tensor, drawn: Params, images: Images, sigma: float) -> Operation:
+    window = (2 * reach_of(sigma) + 1,) * 2
+    arguments = blur_arguments("gaussian_blur2d", like, window, (sigma, sigma), "replicate")
+    return Operation(filter_lists.gaussian_blur2d, arguments[1:])
 
 
 def _glass_blur(x: Tensor, drawn: Params, sigma: float, max_delta: int, iterations: int) -> Tensor:
@@ -131,8 +148,9 @@ def _disk(radius: int, alias_blur: float) -> tuple[Any, ...]:
     return tuple(tuple(map(tuple, disk)) for disk in disks.tolist())
 
 
-def _defocus_blur(x: Tensor, drawn: Params, radius: int, alias_blur: float) -> Tensor:
-    return filter2d(x, constant(_disk(radius, alias_blur), x, compute_dtype(x)))
+def _defocus_blur(like: Tensor, drawn: Params, images: Images, radius: int, alias_blur: float) -> Operation:
+    disk = constant(_disk(radius, alias_blur), like, compute_dtype(like))
+    return Operation(filter_lists.filter2d, filter_arguments("filter2d", like, disk)[1:])
 
 
 def _motion_blur(x: Tensor, drawn: Params, radius: int, sigma: float) -> Tensor:
@@ -185,8 +203,8 @@ def _snow(
     return y
 
 
-def _frost(x: Tensor, drawn: Params, of_image: float, of_frost: float) -> Tensor:
-    return frosted(drawn["module"], drawn, x, of_image, of_frost)(x)
+def _frost(like: Tensor, drawn: Params, images: Images, of_image: float, of_frost: float) -> Operation:
+    return frosted(drawn["module"], drawn, like, of_image, of_frost, images)
 
 
 def _fog(x: Tensor, drawn: Params, amount: float, roughness: float) -> Tensor:
@@ -210,10 +228,12 @@ def _elastic_transform(x: Tensor, drawn: Params, alpha: float) -> Tensor:
     return y if x.dtype == torch.uint8 else clamp(y, 0, 1)
 
 
-def _pixelate(x: Tensor, drawn: Params, scale: float) -> Tensor:
-    counts = constant((tuple(max(int(n * scale), 1) for n in x.shape[-2:]),), x, torch.float32)
-    y: Tensor = pixelate(x, counts, BLOCK_VALUE["mean_of_whole"])
-    return y
+def _pixelate(like: Tensor, drawn: Params, images: Images, scale: float) -> Operation:
+    if images is None:
+        counts = constant((tuple(max(int(n * scale), 1) for n in like.shape[-2:]),), like, torch.float32)
+    else:
+        counts = (sizes_of_list(images) * scale).floor().clamp(min=1).float()
+    return Operation(pixelate, (counts, BLOCK_VALUE["mean_of_whole"]))
 
 
 def _hsv_steps(factors: Sequence[float], shifts: Sequence[float]) -> list[ColorStep]:
@@ -267,12 +287,13 @@ _BORDER = Resampling("bilinear", "border", True)
 class Corruption(NamedTuple):
     """A corruption: its function, its parameters in five severities, and what is drawn for it."""
 
-    apply: Callable[..., Tensor] | None
+    apply: Callable[..., Any] | None
     severities: tuple[tuple[float, ...], ...]
     map: Map | None = None
     angle: tuple[float, float] | None = None  # degrees
-    fused: Callable[..., Tensor] | None = None  # of images of any type, the source of noise and the parameters
+    fused: Callable[..., Any] | None = None  # of images of any type, the source of noise and the parameters
     takes_bytes: bool = False  # as they are, and gives results in [0, 1]
+    is_operation: bool = False  # the function, or the fused one, gives an operator that has a kernel for lists
     steps: Callable[..., list[ColorStep]] | None = None  # instead, of the number of channels and the parameters
 
 
@@ -290,10 +311,16 @@ CorruptionName: TypeAlias = Literal[
     "speckle_noise", "gaussian_blur", "spatter", "saturate",
 ]  # fmt: skip
 CORRUPTIONS: dict[CorruptionName, Corruption] = {
-    "gaussian_noise": Corruption(_gaussian_noise, _each(0.08, 0.12, 0.18, 0.26, 0.38), _NORMAL, fused=_normal_terms),
-    "shot_noise": Corruption(_shot_noise, _each(60, 25, 12, 5, 3), _UNIFORM, fused=_photons),
-    "impulse_noise": Corruption(_impulse_noise, _each(0.03, 0.06, 0.09, 0.17, 0.27), fused=_impulses),
-    "defocus_blur": Corruption(_defocus_blur, ((3, 0.1), (4, 0.5), (6, 0.5), (8, 0.5), (10, 0.5)), takes_bytes=True),
+    "gaussian_noise": Corruption(
+        _gaussian_noise, _each(0.08, 0.12, 0.18, 0.26, 0.38), _NORMAL, fused=_normal_terms, is_operation=True
+    ),
+    "shot_noise": Corruption(_shot_noise, _each(60, 25, 12, 5, 3), _UNIFORM, fused=_photons, is_operation=True),
+    "impulse_noise": Corruption(
+        _impulse_noise, _each(0.03, 0.06, 0.09, 0.17, 0.27), fused=_impulses, is_operation=True
+    ),
+    "defocus_blur": Corruption(
+        _defocus_blur, ((3, 0.1), (4, 0.5), (6, 0.5), (8, 0.5), (10, 0.5)), takes_bytes=True, is_operation=True
+    ),
     "glass_blur": Corruption(
         _glass_blur,
         ((0.7, 1, 2), (0.9, 2, 1), (1.0, 2, 3), (1.1, 3, 2), (1.5, 4, 2)),
@@ -321,6 +348,7 @@ CORRUPTIONS: dict[CorruptionName, Corruption] = {
         _frost,
         ((1.0, 0.4), (0.8, 0.6), (0.7, 0.7), (0.65, 0.7), (0.6, 0.75)),
         takes_bytes=True,
+        is_operation=True,
     ),
     # The noise of its fractal shrinks by the square of the published decay, 2, 2, 1.7, 1.5 or 1.4, from step to step.
     "fog": Corruption(
@@ -334,10 +362,12 @@ CORRUPTIONS: dict[CorruptionName, Corruption] = {
         NoiseMap(size=(2, None, None)),
         takes_bytes=True,
     ),
-    "pixelate": Corruption(_pixelate, _each(0.6, 0.5, 0.4, 0.3, 0.25), takes_bytes=True),
+    "pixelate": Corruption(_pixelate, _each(0.6, 0.5, 0.4, 0.3, 0.25), takes_bytes=True, is_operation=True),
     "jpeg_compression": Corruption(_jpeg_compression, _each(25, 18, 15, 10, 7), takes_bytes=True),
-    "speckle_noise": Corruption(_speckle_noise, _each(0.15, 0.2, 0.35, 0.45, 0.6), fused=_normal_factors),
-    "gaussian_blur": Corruption(_gaussian_blur, _each(1, 2, 3, 4, 6), takes_bytes=True),
+    "speckle_noise": Corruption(
+        _speckle_noise, _each(0.15, 0.2, 0.35, 0.45, 0.6), fused=_normal_factors, is_operation=True
+    ),
+    "gaussian_blur": Corruption(_gaussian_blur, _each(1, 2, 3, 4, 6), takes_bytes=True, is_operation=True),
     "spatter": Corruption(
         _spatter,
         (
@@ -407,6 +437,7 @@ class CommonCorruption(IntensityAugmentationBase2D, keeps_contract=True):
         self.name, self.severity = name, severity
         self.register_buffer("texture", None if texture is None else as_textures(op, texture), persistent=False)
         self.fuses_noise = CORRUPTIONS[name].fused is not None
+        self.filters_chosen = CORRUPTIONS[name].is_operation and not self.fuses_noise
         self.accepts_bytes = self.fuses_noise or CORRUPTIONS[name].takes_bytes
         self._param_generator = self._generator(op)
 
@@ -431,18 +462,44 @@ class CommonCorruption(IntensityAugmentationBase2D, keeps_contract=True):
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
-        corruption = CORRUPTIONS[self.name]
-        numbers = corruption.severities[self.severity - 1]
+        corruption, numbers = self._corruption
         if corruption.apply is None:
             return super().apply_transform(input, params, flags, transform)
+        if corruption.is_operation and ("_noise" in params or corruption.fused is None):
+            return self._operation(input, params)(input)
         if corruption.fused is not None and "_noise" in params:
-            return corruption.fused(input, params["_noise"][1], *numbers)
+            y: Tensor = corruption.fused(input, params["_noise"][1], *numbers)
+            return y
         x = input if corruption.takes_bytes else in_units(input)
-        drawn: Params = {**params, "module": self}
-        for name in ("noise", "angle", "plasma"):
-            if name in params:
-                drawn[name] = params[name].to(x.device, compute_dtype(x))
-        y = corruption.apply(x, drawn, *numbers)
+        y = corruption.apply(x, self._drawn(params, x), *numbers)
         if corruption.takes_bytes:
             return y
         return as_stored(y, input) if input.dtype == torch.uint8 else clamp(y, 0, 1)
+
+    @property
+    def _corruption(self) -> tuple[Corruption, tuple[float, ...]]:
+        corruption = CORRUPTIONS[self.name]
+        return corruption, corruption.severities[self.severity - 1]
+
+    def _drawn(self, params: Params, like: Tensor) -> Params:
+        drawn: Params = {**params, "module": self}
+        for name in ("noise", "angle", "plasma"):
+            if name in params:
+                drawn[name] = params[name].to(like.device, compute_dtype(like))
+        return drawn
+
+    def _operation(self, like: Tensor, params: Params, images: Images = None) -> Operation:
+        corruption, numbers = self._corruption
+        operation: Operation
+        if corruption.fused is not None:
+            operation = corruption.fused(like, params["_noise"][1], *numbers)
+        else:
+            assert corruption.apply is not None
+            operation = corruption.apply(like, self._drawn(params, like), images, *numbers)
+        return operation
+
+    def _operation_on_list(self, images: Sequence[Tensor], like: Tensor, execution: Execution) -> Operation:
+        return self._operation(like, self._params_on_device(like, execution, for_users=False), images)
+
+    def _operates_on(self, dtype: torch.dtype) -> bool:
+        return self._corruption[0].is_operation and super()._operates_on(dtype)

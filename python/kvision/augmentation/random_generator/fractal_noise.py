@@ -32,11 +32,11 @@ def _reference(
     """
     if len(size) > 3:
         largest = _largest(size)
+        index, position, draw, same, form, first = (*plan, 0, 0)[:6]
         maps_of_samples = []
         for b in range(roughness.shape[0]):
-            own_plan = [*plan[:4], *(plan[4:] or [0]), *(plan[5:] or [0])]
-            own_plan[5] += b
             side = size[2 * b + 1 : 2 * b + 3]
+            own_plan = (index, position, draw, same, form, first + b)
             own = _reference(roughness[b : b + 1], keys, row(seeds, b), own_plan, [size[0], *side])
             maps_of_samples.append(F.pad(own, (0, largest[2] - side[1], 0, largest[1] - side[0])))
         return torch.cat(maps_of_samples)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import torch
@@ -9,19 +10,24 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._clamp import clamp
+from kvision._dtype import compute_dtype
+from kvision.augmentation.corruption.layer import layered
+from kvision.augmentation.corruption.layer_base import LayerAugmentation
 from kvision.augmentation.corruption.rain import rain_mask
-from kvision.augmentation.engine import Params
+from kvision.augmentation.engine import Execution, Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
 from kvision.augmentation.random_generator.plain import PlainUniformGenerator
 from kvision.augmentation.random_generator.weather import RainGenerator
 from kvision.augmentation.ranges import Numbers
 from kvision.color.hls import hls_to_rgb, rgb_to_hls
 from kvision.core.exceptions import ShapeError
+from kvision.geometry.transform.lists.arguments import sizes
+from kvision.geometry.transform.lists.kept_sizes import Operation
 
 __all__ = ["RandomRain", "RandomSnow"]
 
 
-class RandomRain(IntensityAugmentationBase2D, keeps_contract=True):
+class RandomRain(LayerAugmentation, keeps_contract=True):
     """Draw lines of gray, 200 / 255, as drops of rain.
 
     Args:
@@ -56,19 +62,27 @@ class RandomRain(IntensityAugmentationBase2D, keeps_contract=True):
         super().__init__(p=p, same_on_batch=same_on_batch, keepdim=keepdim, **options)
         self._param_generator: RainGenerator = RainGenerator(number_of_drops, drop_height, drop_width)
 
-    def apply_transform(
-        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
-    ) -> Tensor:
-        height, width = input.shape[-2:]
+    def _operation(self, like: Tensor, params: Params) -> Operation:
+        return self._rain(like, params, params["coordinates_factor"], like.shape[-2:], like.shape[-2:])
+
+    def _operation_on_list(self, images: Sequence[Tensor], like: Tensor, execution: Execution) -> Operation:
+        assert execution.columns is not None
+        values, noise = execution.columns.values, self._pixel_noise(execution, execution.redraw, like.device)
+        positions = self._param_generator.pixel_params(values, tuple(like.shape), noise)["coordinates_factor"]
+        return self._rain(like, self._named(values, execution), positions, sizes(images), like.shape[-2:])
+
+    def _rain(
+        self, like: Tensor, params: Params, positions: Tensor, sides: Sequence[int], smallest: Sequence[int]
+    ) -> Operation:
+        """The operator for images of one height and width, or of those of each."""
         drawn = self._param_generator
         longest = max(drawn.drop_height[1], *(abs(n) for n in drawn.drop_width))
-        if drawn.drop_height[1] >= height or max(abs(n) for n in drawn.drop_width) >= width:
-            raise ShapeError(f"RandomRain: expected images larger than drops, got {tuple(input.shape)}")
+        if drawn.drop_height[1] >= smallest[0] or max(abs(n) for n in drawn.drop_width) >= smallest[1]:
+            raise ShapeError(f"RandomRain: expected images larger than drops, got {tuple(like.shape)}")
         names = ("number_of_drops_factor", "drop_height_factor", "drop_width_factor")
-        drops = torch.stack([params[name].to(input.device, torch.int64) for name in names], 1)
-        positions = params["coordinates_factor"].to(input.device, torch.float32)
-        wet = rain_mask(drops, positions, [height, width], longest)
-        return torch.where(wet > 0, 200 if input.dtype == torch.uint8 else 200 / 255, input)
+        drops = torch.stack([params[name].to(like.device, torch.int64) for name in names], 1)
+        wet = rain_mask(drops, positions.to(like.device, torch.float32), list(sides), longest)
+        return layered(wet.to(compute_dtype(like)), 1.0, -1.0, 200 / 255, 0.0)
 
 
 class RandomSnow(IntensityAugmentationBase2D, keeps_contract=True):

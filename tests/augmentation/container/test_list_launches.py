@@ -30,7 +30,6 @@ BY_SIZE = {
     },
     "a layer of the size of the image": {
         "RandomFog",
-        "RandomRain",
         "RandomSnow",
         "Spatter",
     },

@@ -19,6 +19,7 @@ MAKE = {
     "frost": lambda **o: A.RandomFrost(FROST, **o),
     "blocks": lambda **o: A.Downscale((0.2, 0.9), antialias=True, **o),
     "equalized": lambda **o: A.RandomEqualize(**o),
+    "rain": lambda **o: A.RandomRain((10, 20), (3, 6), (-3, 3), **o),
     "pixels": lambda **o: A.Downscale((0.2, 0.9), **o),
     "photons": lambda **o: A.CommonCorruption("shot_noise", 2, **o),
     "impulses": lambda **o: A.CommonCorruption("impulse_noise", 2, **o),
@@ -40,7 +41,7 @@ def test_each_image_gets_what_it_gets_alone(name, dtype, device):
     is_byte = dtype == torch.uint8
     if dtype == torch.float64 and name in NOISES:
         pytest.skip("float64 has the noise of float32 images, a call for each size")
-    images = pictures(device, SMALL if name == "lens" else [*SMALL, (1, 9), (7, 1)], dtype)
+    images = pictures(device, SMALL if name in ("lens", "rain") else [*SMALL, (1, 9), (7, 1)], dtype)
     seeds = seeds_of(images)
     for given in (images, [x.permute(1, 2, 0).contiguous().permute(2, 0, 1) for x in images]):
         given = given if is_byte else [x.requires_grad_() for x in given]

@@ -3,6 +3,7 @@
 // entry.
 #include "byte_histogram.cuh"
 #include "clahe.h"
+#include "core/stencils/filter_list.cuh"
 
 namespace kv::enhance::cuda {
 namespace {
@@ -42,17 +43,16 @@ __device__ __forceinline__ uint8_t nearest_level(float v) {  // as the last bits
 }
 __device__ __forceinline__ uint8_t nearest_level(double v) { return uint8_t(__double2int_rn(v)); }
 
-// A block has the tile (x, y) of plane first_plane + z. A count times `scale` is a level.
-template <class T, int Threads>
-__global__ void __launch_bounds__(Threads)
-    make_tables(__grid_constant__ Clahe<T> const p, unsigned first_plane, bool aligned, Compute<T> scale) {
+// A block has the tile (x, y) of a plane.
+template <int Threads, class T>
+__device__ __forceinline__ void make_table(Clahe<T> const& p, unsigned plane, bool aligned) {
   using F = Compute<T>;
   using Counter = LevelCounter<Threads / 32>;
   constexpr int kEach = Threads < kLevels ? kLevels / Threads : 1;  // levels per thread
   __shared__ __align__(16) int32_t counts[Counter::kSize];
   __shared__ int sums[Threads / 32];
   Counter const counter{counts};
-  unsigned const plane = first_plane + blockIdx.z;
+  F const scale = F(255) / F(int64_t(p.down.size) * p.across.size);  // a count times it is a level
   int const ty = int(blockIdx.y), tx = int(blockIdx.x);
   T const* const image = p.x.plane(plane);
   counter.template clear<Threads>();
@@ -103,6 +103,21 @@ __global__ void __launch_bounds__(Threads)
   if (has_levels) *reinterpret_cast<Vector<uint8_t, kEach>*>(table + first) = levels;
 }
 
+template <class T, int Threads>
+__global__ void __launch_bounds__(Threads)
+    make_tables(__grid_constant__ Clahe<T> const p, unsigned first_plane, bool aligned) {
+  make_table<Threads>(p, first_plane + blockIdx.z, aligned);
+}
+
+template <class T, int Threads>
+__global__ void __launch_bounds__(Threads)
+    make_tables_of_list(__grid_constant__ ClaheList<T> const p, unsigned first_plane, bool aligned) {
+  unsigned const plane = first_plane + blockIdx.z, b = plane / unsigned(p.channels);
+  if (p.copies(int(b))) return;
+  Clahe<T> const one = p.sample(int(b));
+  make_table<Threads>(one, plane - b * unsigned(p.channels), aligned);
+}
+
 constexpr int kThreads = 128;
 
 // v / 255, rounded like a float division, in a third of its instructions (P. Markstein, "Computation of elementary
@@ -127,7 +142,7 @@ struct CellBlocks {
   int cells;              // the most cells that they are in, along x
   unsigned across, down;  // blocks of a row of cells, along x and along y
 
-  CellBlocks(TileAxis const& x, TileAxis const& y) : columns(256) {
+  KV_HD CellBlocks(TileAxis const& x, TileAxis const& y, int most = 256) : columns(most) {
     auto const cells_of = [&](int pixels) { return min(x.count + 1, (pixels - 1) / x.size + 2); };
     while (columns > 32 && cells_of(columns) > 64) columns /= 2;  // memory
     cells = cells_of(columns);
@@ -137,19 +152,26 @@ struct CellBlocks {
   int bytes() const { return cells * kLevels * int(sizeof(uint32_t)); }
 };
 
-// A block has the part x of row y of the cells of plane first_plane + z. A thread keeps the cells and weights of its
-// columns. Its vectors are blockDim.x vectors apart, so that adjacent threads access adjacent memory.
-template <class T, int P>
-__global__ void __launch_bounds__(kThreads)
-    map_cells(__grid_constant__ Clahe<T> const p, unsigned first_plane, CellBlocks const blocks) {
+// A block has the part x of row y of the cells of a plane. A thread keeps the cells and weights of its columns. Its
+// vectors are blockDim.x vectors apart, so that adjacent threads access adjacent memory.
+template <int P, class T>
+__device__ __forceinline__ void map_part(Clahe<T> const& p, unsigned plane, CellBlocks const& blocks, bool copies) {
   using F = Compute<T>;
   constexpr int kAtOnce = 2, kVectors = kColumns<P> / P;
   extern __shared__ __align__(16) uint32_t tables[];  // of all cells: kLevels entries of the four bytes of a level
-  unsigned const plane = first_plane + blockIdx.z, chunk = blockIdx.x / blocks.across;
+  unsigned const chunk = blockIdx.x / blocks.across;
   int const cy = int(blockIdx.y), x0 = int(blockIdx.x - chunk * blocks.across) * blocks.columns;
   int const x1 = min(x0 + blocks.columns, p.across.pixels);
   int const y0 = p.down.cell(cy) + int(chunk) * blocks.rows, y1 = min(p.down.cell(cy + 1), y0 + blocks.rows);
-  if (y0 >= y1) return;
+  if (y0 >= y1 || chunk >= blocks.down) return;
+  if (copies) {
+    int const wide = x1 - x0, threads = int(blockDim.x * blockDim.y);
+    for (int i = int(threadIdx.y * blockDim.x + threadIdx.x); i < wide * (y1 - y0); i += threads) {
+      int const row = y0 + i / wide, column = x0 + i % wide;
+      p.y.row(plane, row)[column * p.y.step] = p.x.row(plane, row)[column * p.x.step];
+    }
+    return;
+  }
 
   int const x = x0 + int(threadIdx.x) * P, apart = int(blockDim.x) * P, step = int(blockDim.y);
   T const* const from = p.x.plane(plane) + x * p.x.step;
@@ -233,45 +255,100 @@ __global__ void __launch_bounds__(kThreads)
   }
 }
 
-// Planes are the z axis of a grid.
-constexpr int64_t kMaxPlanes = 65535;
+template <class T, int P>
+__global__ void __launch_bounds__(kThreads)
+    map_cells(__grid_constant__ Clahe<T> const p, unsigned first_plane, CellBlocks const blocks) {
+  map_part<P>(p, first_plane + blockIdx.z, blocks, false);
+}
 
-template <int Threads, class T>
-void launch_tables(Clahe<T> const& p, unsigned first_plane, unsigned planes, bool aligned, CUstream_st* stream) {
-  using F = Compute<T>;
-  dim3 const grid(unsigned(p.across.count), unsigned(p.down.count), planes);
-  F const scale = F(255) / F(int64_t(p.down.size) * p.across.size);
-  make_tables<T, Threads><<<grid, Threads, 0, stream>>>(p, first_plane, aligned, scale);
+template <class T, int P>
+__global__ void __launch_bounds__(kThreads)
+    map_cells_of_list(__grid_constant__ ClaheList<T> const p, unsigned first_plane, int columns) {
+  unsigned const plane = first_plane + blockIdx.z, b = plane / unsigned(p.channels);
+  Clahe<T> const one = p.sample(int(b));
+  map_part<P>(one, plane - b * unsigned(p.channels), CellBlocks(one.across, one.down, columns), p.copies(int(b)));
+}
+
+// Planes are the z axis of a grid: launch(first of them, how many).
+template <class Launch>
+void for_planes(int64_t planes, Launch launch) {
+  constexpr int64_t most = 65535;
+  for (int64_t first = 0; first < planes; first += most) launch(unsigned(first), unsigned(min(planes - first, most)));
+}
+bool has_small_tiles(TileAxis const& down, TileAxis const& across) { return int64_t(down.size) * across.size <= 8192; }
+// Vectors of both launches are parts of it.
+template <class T>
+constexpr int kAlignment = sizeof(T) == 1 ? kMapped<T> : kPixels<T>;
+template <class T>
+bool has_aligned_rows(Clahe<T> const& p) {
+  return is_vectorizable<kAlignment<T>>(p.x) && is_vectorizable<kAlignment<T>>(p.y);
+}
+template <class T, int P>
+dim3 threads_of(int columns) {
+  unsigned const across = unsigned(columns / kColumns<P>);
+  return {across, kThreads / across};
 }
 
 }  // namespace
 
 template <class T>
 int clahe(Clahe<T> const& p, CUstream_st* stream) {
-  int64_t const planes = p.x.count();
-  constexpr int kVector = sizeof(T) == 1 ? kMapped<T> : kPixels<T>;  // those of both launches are parts of it
-  bool const aligned = is_vectorizable<kVector>(p.x) && is_vectorizable<kVector>(p.y);
-  bool const small = int64_t(p.down.size) * p.across.size <= 8192;
+  bool const aligned = has_aligned_rows(p);
   CellBlocks const blocks(p.across, p.down);
   int error = 0;
   with_row_vectors<kMapped<T>>(aligned, [&](auto pixels) {
     auto* const kernel = map_cells<T, pixels.value>;
-    unsigned const threads_across = unsigned(blocks.columns / kColumns<pixels.value>);
-    dim3 const threads(threads_across, kThreads / threads_across);
     error = cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, blocks.bytes());
-    for (int64_t first = 0; !error && first < planes; first += kMaxPlanes) {
-      unsigned const count = unsigned(min(planes - first, kMaxPlanes)), first_plane = unsigned(first);
-      if (small)
-        launch_tables<64>(p, first_plane, count, aligned, stream);
+    if (error) return;
+    for_planes(p.x.count(), [&](unsigned first, unsigned count) {
+      dim3 const tiles(unsigned(p.across.count), unsigned(p.down.count), count);
+      if (has_small_tiles(p.down, p.across))
+        make_tables<T, 64><<<tiles, 64, 0, stream>>>(p, first, aligned);
       else
-        launch_tables<512>(p, first_plane, count, aligned, stream);
+        make_tables<T, 512><<<tiles, 512, 0, stream>>>(p, first, aligned);
       dim3 const grid(blocks.across * blocks.down, unsigned(p.down.count + 1), count);
-      kernel<<<grid, threads, blocks.bytes(), stream>>>(p, first_plane, blocks);
-    }
+      kernel<<<grid, threads_of<T, pixels.value>(blocks.columns), blocks.bytes(), stream>>>(p, first, blocks);
+    });
+  });
+  return error ? error : int(cudaGetLastError());
+}
+
+// The blocks of all samples have the same columns and as much memory as one of them needs.
+template <class T>
+int clahe_list(ClaheList<T> const& p, CUstream_st* stream) {
+  bool const aligned = all_samples(p, [](Clahe<T> const& one) { return has_aligned_rows(one); });
+  bool const small = all_samples(p, [](Clahe<T> const& one) { return has_small_tiles(one.down, one.across); });
+  int columns = 256, cells = 1;
+  unsigned parts = 1;
+  for (int b = 0; b < p.list.count; ++b) {
+    Clahe<T> const one = p.sample(b);
+    columns = CellBlocks(one.across, one.down, columns).columns;
+  }
+  for (int b = 0; b < p.list.count; ++b) {
+    Clahe<T> const one = p.sample(b);
+    CellBlocks const blocks(one.across, one.down, columns);
+    cells = max(cells, blocks.cells), parts = max(parts, blocks.across * blocks.down);
+  }
+  int const bytes = cells * kLevels * int(sizeof(uint32_t));
+  int error = 0;
+  with_row_vectors<kMapped<T>>(aligned, [&](auto pixels) {
+    auto* const kernel = map_cells_of_list<T, pixels.value>;
+    error = cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, bytes);
+    if (error) return;
+    for_planes(int64_t(p.list.count) * p.channels, [&](unsigned first, unsigned count) {
+      dim3 const tiles(unsigned(p.columns), unsigned(p.rows), count);
+      if (small)
+        make_tables_of_list<T, 64><<<tiles, 64, 0, stream>>>(p, first, aligned);
+      else
+        make_tables_of_list<T, 512><<<tiles, 512, 0, stream>>>(p, first, aligned);
+      dim3 const grid(parts, unsigned(p.rows + 1), count);
+      kernel<<<grid, threads_of<T, pixels.value>(columns), unsigned(bytes), stream>>>(p, first, columns);
+    });
   });
   return error ? error : int(cudaGetLastError());
 }
 
 KV_INSTANTIATE_WITH_BYTES(clahe, Clahe)
+KV_INSTANTIATE_WITH_BYTES(clahe_list, ClaheList)
 
 }  // namespace kv::enhance::cuda

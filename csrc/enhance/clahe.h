@@ -9,8 +9,10 @@
 #pragma once
 
 #include "byte_histogram.h"
+#include "core/ceil_div.h"
 #include "core/isa.h"
 #include "core/product.h"
+#include "core/stencils/channel_list.h"
 #include "plane_parameter.h"
 
 namespace kv::enhance {
@@ -50,6 +52,14 @@ KV_HD int32_t limit_of_counts(double clip_limit, int64_t tile_pixels) {
   return clip_limit > 0 && most < INT32_MAX ? max(int32_t(most), 1) : INT32_MAX;
 }
 
+constexpr int64_t kMaxTiles = (1 << 15) - 1;  // along an axis
+
+// Tiles of equal size. Where one axis needs padding, OpenCV pads the other one as well.
+KV_HD TileAxis tile_axis(int64_t pixels, int64_t tiles, bool fits, bool opencv) {
+  int64_t const size = opencv && !fits ? pixels / tiles + 1 : ceil_div(pixels, tiles);
+  return {int(tiles), int(size), int(pixels), !opencv};
+}
+
 template <class T>
 struct Clahe {
   Planes<T const> x;  // one plane per channel
@@ -67,11 +77,35 @@ struct Clahe {
   KV_HD int32_t limit_of(int64_t plane) const {
     return clip_limits.data ? limit_of_counts(double(clip_limits.of(plane)), int64_t(down.size) * across.size) : limit;
   }
+  KV_HD void set_axes(int64_t height, int64_t width, int64_t rows, int64_t columns, double clip_limit) {
+    bool const fits = height % rows == 0 && width % columns == 0;
+    down = tile_axis(height, rows, fits, to_levels), across = tile_axis(width, columns, fits, to_levels);
+    limit = limit_of_counts(clip_limit, int64_t(down.size) * across.size);
+  }
+  KV_HD void select(int64_t b) {
+    if (clip_limits.data) clip_limits.data += b * clip_limits.of_image;
+  }
+};
+
+// Of lists the tables are those of the samples of a table.
+template <class T>
+struct ClaheList : FilterList<Clahe<T>, T> {
+  int rows, columns;
+  double clip_limit;
+
+  KV_HD Clahe<T> sample(int b) const {
+    Clahe<T> one = FilterList<Clahe<T>, T>::sample(b);
+    by_channels(one.x), by_channels(one.y);
+    one.set_axes(one.x.height, one.x.width, rows, columns, clip_limit);
+    if (one.tables) one.tables += int64_t(b) * this->channels * rows * columns * kLevels;
+    return one;
+  }
 };
 
 // On the CPU the work is divided by planes. If there are few planes, it is divided by rows of cells, after a first pass
 // for the tables that is divided by rows of tiles, so that more threads than planes can run.
 KV_KERNEL(clahe, Clahe)
+KV_KERNEL(clahe_list, ClaheList)
 KV_KERNEL(clahe_tables, Clahe)  // CPU
 
 // n / d for 0 <= n < 2^20 and d > 0. On CUDA without integer division: (n + 1/2) / d is at least 1 / (2 d) away from an

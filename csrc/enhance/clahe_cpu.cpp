@@ -5,6 +5,7 @@
 #include "byte_histogram_cpu.h"
 #include "clahe.h"
 #include "core/scratch.h"
+#include "core/stencils/channel_list.h"
 
 namespace kv::enhance::KV_ISA {
 namespace {
@@ -213,6 +214,13 @@ void clahe(Clahe<T> const& p, int64_t begin, int64_t end) {
   }
 }
 
+template <class T>
+void clahe_list(ClaheList<T> const& p, int64_t begin, int64_t end) {
+  channel_items(p, begin, end,
+                [](Clahe<T> const& one, int64_t first, int64_t last) { KV_ISA::clahe(one, first, last); });
+}
+
+KV_INSTANTIATE_WITH_BYTES(clahe_list, ClaheList)
 KV_INSTANTIATE_WITH_BYTES(clahe_tables, Clahe)
 KV_INSTANTIATE_WITH_BYTES(clahe, Clahe)
 

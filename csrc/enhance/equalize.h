@@ -3,7 +3,7 @@
 
 #include "byte_histogram.h"
 #include "core/isa.h"
-#include "core/stencils/filter_list.h"
+#include "core/stencils/channel_list.h"
 
 namespace kv::enhance {
 
@@ -27,10 +27,10 @@ struct Equalize {
 template <class T>
 struct EqualizeList : FilterList<Equalize<T>, T> {};
 
-// A sample of a list, whose rows follow each other, with each plane as one row.
+// A sample of a list, whose rows follow each other, with each channel as one row.
 template <class T>
 KV_HD Planes<T> flat_channels(Planes<T> p) {
-  if (p.step > 1) p.inner = p.step, p.inner_stride = 1;
+  by_channels(p);
   p.width *= p.height, p.height = 1;
   p.row_stride = p.row_size();
   return p;

@@ -51,7 +51,7 @@ struct ListedImages {
   void filter_channels(Filter const& all, int64_t cost_of_pixel, Run run) const {
     for_each_table<List>(
         all, [&](geometry::Size) { return channels(); },
-        [&](List const& list) { run(list, cost_of_pixel * like().size(2) * like().size(3)); });
+        [&](List& list) { run(list, cost_of_pixel * like().size(2) * like().size(3)); });
   }
 
  private:

@@ -1,6 +1,8 @@
 // Operators on lists of images of different sizes by statistics of channels: schemas and entries, for CPU and CUDA.
 #include "augmentation/lists/listed_images.h"
+#include "enhance/clahe.h"
 #include "enhance/equalize.h"
+#include "enhance/plane_views.h"
 
 namespace kv::enhance {
 namespace {
@@ -9,6 +11,10 @@ template <class T>
 void run([[maybe_unused]] Tensor const& like, EqualizeList<T> const& p, [[maybe_unused]] int64_t cost) {
   KV_RUN(equalize_list, like, p, p.list.items, cost);
 }
+template <class T>
+void run([[maybe_unused]] Tensor const& like, ClaheList<T> const& p, [[maybe_unused]] int64_t cost) {
+  KV_RUN(clahe_list, like, p, p.list.items, cost);
+}
 
 }  // namespace
 }  // namespace kv::enhance
@@ -16,10 +22,16 @@ void run([[maybe_unused]] Tensor const& like, EqualizeList<T> const& p, [[maybe_
 namespace kv::augmentation {
 namespace {
 
+// Kernels count the pixels of a plane in int.
+void check_pixels(ListedImages const& list) {
+  Tensor const& like = list.like();
+  KV_CHECK(like.size(2) <= INT32_MAX / like.size(3), list.kept.op, ": expected fewer than 2^31 pixels a plane");
+}
+
 Tensors equalize_list(Tensors const& images, OptionalTensor const& chosen, bool opencv) {
   ListedImages const list("equalize_list", images, chosen, true);
   Tensor const& like = list.like();
-  KV_CHECK(like.size(2) <= INT32_MAX / like.size(3), list.kept.op, ": expected fewer than 2^31 pixels a plane");
+  check_pixels(list);
   Tensor const counts = empty({like.size(0) * like.size(1), enhance::kLevels}, like, Layout::planar, ScalarType::Int);
   dispatch_floating_and_uint8(list.kept.op, like, [&]<class T>(Type<T>) {
     enhance::Equalize<T> all{};
@@ -33,10 +45,39 @@ Tensors equalize_list(Tensors const& images, OptionalTensor const& chosen, bool 
   return list.kept.results;
 }
 
+Tensors equalize_clahe_list(Tensors const& images, OptionalTensor const& chosen, OptionalTensor const& clip_limits,
+                            double clip_limit, int64_t rows, int64_t columns, bool opencv) {
+  ListedImages const list("equalize_clahe_list", images, chosen);
+  Tensor const& like = list.like();
+  check_pixels(list);
+  KV_CHECK(rows > 0 && columns > 0 && rows <= enhance::kMaxTiles && columns <= enhance::kMaxTiles, list.kept.op,
+           ": expected a grid of 1 to ", enhance::kMaxTiles, " tiles along each axis, got ", rows, " x ", columns);
+#if defined(KV_CUDA)
+  int64_t const planes = min(like.size(0), int64_t(kMaxListed)) * like.size(1);
+#else
+  int64_t const planes = 0;
+#endif
+  Tensor const tables = empty({planes, rows * columns * enhance::kLevels}, like, Layout::planar, ScalarType::Byte);
+  dispatch_floating_and_uint8(list.kept.op, like, [&]<class T>(Type<T>) {
+    enhance::Clahe<T> all{};
+    all.clip_limits = enhance::plane_parameter<Compute<T>>(list.kept.op, "clip_limits", like, clip_limits, 0);
+    all.to_levels = opencv;
+    all.tables = planes ? data_ptr<uint8_t>(tables) : nullptr;
+    list.filter_channels<enhance::ClaheList<T>>(all, 4, [&](auto& p, int64_t cost) {
+      p.rows = int(rows), p.columns = int(columns), p.clip_limit = clip_limit;
+      enhance::run(like, p, cost);
+    });
+  });
+  return list.kept.results;
+}
+
 }  // namespace
 
 // `chosen` (B,) float32: images whose value is 0 stay as they are. What follows are the arguments of the operators on
 // batches.
 KV_OPERATOR(equalize_list, "(Tensor[] images, Tensor? chosen, bool opencv) -> Tensor[]")
+KV_OPERATOR(equalize_clahe_list,
+            "(Tensor[] images, Tensor? chosen, Tensor? clip_limits, float clip_limit, int rows, int columns,"
+            " bool opencv) -> Tensor[]")
 
 }  // namespace kv::augmentation

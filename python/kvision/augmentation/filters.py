@@ -467,6 +467,16 @@ class RandomClahe(IntensityAugmentationBase2D, keeps_contract=True):
         limits = params["clip_limit_factor"]
         return enhance.equalize_clahe(input, limits, flags["grid_size"], flags["slow_and_differentiable"])
 
+    filters_chosen = True
+
+    def _operation(self, like: Tensor, params: Params) -> Operation:
+        limits = params["clip_limit_factor"].detach().to(like.device, compute_dtype(like))[:, None, None]
+        rows, columns = _check.pair("RandomClahe", "grid_size", tuple(self.flags["grid_size"]))
+        return Operation(statistics_lists.equalize_clahe, (limits, 0.0, rows, columns, False))
+
+    def _operates_on(self, dtype: torch.dtype) -> bool:
+        return not self.flags["slow_and_differentiable"] and super()._operates_on(dtype)
+
 
 class RandomJPEG(IntensityAugmentationBase2D, keeps_contract=True):
     """Compress RGB images by JPEG with a random quality, differentiably.

@@ -20,6 +20,7 @@ MAKE = {
     "blocks": lambda **o: A.Downscale((0.2, 0.9), antialias=True, **o),
     "equalized": lambda **o: A.RandomEqualize(**o),
     "rain": lambda **o: A.RandomRain((10, 20), (3, 6), (-3, 3), **o),
+    "equalized tiles": lambda **o: A.RandomClahe((1.0, 40.0), (3, 2), **o),
     "pixels": lambda **o: A.Downscale((0.2, 0.9), **o),
     "photons": lambda **o: A.CommonCorruption("shot_noise", 2, **o),
     "impulses": lambda **o: A.CommonCorruption("impulse_noise", 2, **o),

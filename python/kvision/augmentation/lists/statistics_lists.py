@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 from torch import Tensor
 
+from kvision.enhance.clahe import _equalize_clahe as equalize_clahe
 from kvision.enhance.equalize import _equalize as equalize
 from kvision.enhance.equalize import equalize_backward
+from kvision.geometry.transform.lists.arguments import row
 from kvision.geometry.transform.lists.kept_sizes import register_filter
 
 
@@ -16,3 +19,14 @@ def _of_equalized(needs: Sequence[bool], grad: Tensor, x: Tensor, opencv: bool) 
 
 
 register_filter("equalize_list", equalize, lambda b, opencv: (opencv,), _of_equalized)
+
+
+def _of_clahe_sample(b: int, clip_limits: Tensor | None, *rest: Any) -> tuple[Any, ...]:
+    return row(clip_limits, b), *rest
+
+
+def _of_tiles(needs: Sequence[bool], grad: Tensor, x: Tensor, *args: Any) -> list[Tensor | None]:
+    return [equalize_backward(grad, equalize_clahe(x, *args), None), None]
+
+
+register_filter("equalize_clahe_list", equalize_clahe, _of_clahe_sample, _of_tiles)

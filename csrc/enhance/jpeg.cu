@@ -1,7 +1,9 @@
 // The JPEG approximation on CUDA. A block of threads processes four squares of 16 x 16 pixels. Each of its six warps
 // has 32 x 8 values of luma or of downsampled chroma, which are four 8 x 8 blocks. A thread transforms a row of eight
 // in shared memory, then a column, where it quantizes the coefficients, then a row again. Before and after the blocks,
-// a thread processes four pixels.
+// a thread processes four pixels. A block of a list finds its image in the table.
+#include <new>
+
 #include "core/block_reduce.cuh"
 #include "core/launch.cuh"
 #include "jpeg.h"
@@ -28,11 +30,11 @@ struct TilePosition {
   int64_t image;
   int y, x, tile, tiles;
   template <class F>
-  __device__ __forceinline__ explicit TilePosition(JpegLevels<F> const& levels) {
+  __device__ __forceinline__ explicit TilePosition(JpegLevels<F> const& levels, unsigned block = blockIdx.x) {
     int const across = (int(levels.width) + kJpegWidth - 1) / kJpegWidth;
     tiles = across * (int(levels.height) / kJpegSide);
-    image = blockIdx.x / unsigned(tiles);
-    tile = int(blockIdx.x - unsigned(image) * unsigned(tiles));
+    image = block / unsigned(tiles);
+    tile = int(block - unsigned(image) * unsigned(tiles));
     y = tile / across * kJpegSide;
     x = tile % across * kJpegWidth;
   }
@@ -141,12 +143,11 @@ __device__ __forceinline__ void find_steps(JpegTables<F> const& tables, int64_t 
 }
 
 template <class T>
-__global__ void __launch_bounds__(kThreads) run_blocks(__grid_constant__ JpegBlocks<T> const p) {
+__device__ __forceinline__ void transform_tile(JpegBlocks<T> const& p, TilePosition const& at) {
   using F = Compute<T>;
   __shared__ Tile<F> planes;
   __shared__ Chroma<F> chroma;
   __shared__ F steps[128];
-  TilePosition const at(p.levels);
   find_steps(p.tables, at.image, steps);
   load_levels(p, at, planes, chroma);
   __syncthreads();
@@ -160,6 +161,22 @@ __global__ void __launch_bounds__(kThreads) run_blocks(__grid_constant__ JpegBlo
 #pragma unroll
   for (int i = 0; i < 8; ++i) v[i] = jpeg_quantized<F>(v[i], steps[(four.plane > 0 ? 64 : 0) + 8 * i + four.lane % 8]);
   four.finish(v, p.levels, at.image);
+}
+
+template <class T>
+__global__ void __launch_bounds__(kThreads) run_blocks(__grid_constant__ JpegBlocks<T> const p) {
+  transform_tile(p, TilePosition(p.levels));
+}
+
+template <class T>
+__global__ void __launch_bounds__(kThreads) run_blocks_of_list(__grid_constant__ JpegList<T> const p) {
+  __shared__ __align__(16) unsigned char memory[sizeof(JpegBlocks<T>)];
+  int const b = p.list.sample_of(int(blockIdx.x));
+  if (p.copies(b)) return;
+  if (threadIdx.x == 0) new (memory) JpegBlocks<T>(p.blocks(b));
+  __syncthreads();
+  auto const& one = *reinterpret_cast<JpegBlocks<T> const*>(memory);
+  transform_tile(one, TilePosition(one.levels, blockIdx.x - unsigned(p.list.first[b])));
 }
 
 template <class T>
@@ -271,7 +288,7 @@ __device__ __forceinline__ void store_pixels(Images<T> const& to, int64_t image,
   }
 }
 template <class T>
-bool is_vectorizable(Images<T> const& x) {
+KV_HD bool is_vectorizable(Images<T> const& x) {
   return x.step == 1 && (x.width | x.row_stride | x.channel_stride | x.batch_stride) % kPixelsPerThread == 0 &&
          reinterpret_cast<uintptr_t>(x.data) % (kPixelsPerThread * sizeof(T)) == 0;
 }
@@ -281,27 +298,56 @@ dim3 blocks_of(Images<T> const& x) {
               unsigned(min(x.batch, int64_t(65535))));
 }
 
+// Four pixels of an image from (y, x) on; `rows` are those of chroma.
+template <class T>
+__device__ __forceinline__ void write_pixels(JpegPixels<T> const& p, int64_t image, JpegPair<Compute<T>> const& rows,
+                                             int y, int x, bool vectorized) {
+  using F = Compute<T>;
+  F chroma[2][kPixelsPerThread], rgb[3][kPixelsPerThread];
+#pragma unroll
+  for (int c = 0; c < 2; ++c)
+    spread(p.levels, image, 1 + c, rows, x, rows.near_weight, rows.far_weight, true, chroma[c]);
+  auto const luma = *reinterpret_cast<Vector<F, kPixelsPerThread> const*>(p.levels.row(image, 0, y) + x);
+#pragma unroll
+  for (int i = 0; i < kPixelsPerThread; ++i) {
+    auto const result = jpeg_rgb<F>(luma.v[i], chroma[0][i], chroma[1][i]);
+#pragma unroll
+    for (int c = 0; c < 3; ++c) rgb[c][i] = jpeg_clip<F>(result.v[c]);
+  }
+#pragma unroll
+  for (int c = 0; c < 3; ++c) store_pixels(p.y, image, c, y, x, vectorized, rgb[c]);
+}
+
 template <class T>
 __global__ void __launch_bounds__(32 * kRows) run_pixels(__grid_constant__ JpegPixels<T> const p, bool vectorized) {
-  using F = Compute<T>;
   int const x = int(blockIdx.x * 32 + threadIdx.x) * kPixelsPerThread, y = int(blockIdx.y * kRows + threadIdx.y);
   if (x >= p.y.width || y >= p.y.height) return;
-  auto const rows = jpeg_doubled<F>(y, int(p.levels.height));
-  for (int64_t image = blockIdx.z; image < p.y.batch; image += gridDim.z) {
-    F chroma[2][kPixelsPerThread], rgb[3][kPixelsPerThread];
-#pragma unroll
-    for (int c = 0; c < 2; ++c)
-      spread(p.levels, image, 1 + c, rows, x, rows.near_weight, rows.far_weight, true, chroma[c]);
-    auto const luma = *reinterpret_cast<Vector<F, kPixelsPerThread> const*>(p.levels.row(image, 0, y) + x);
-#pragma unroll
-    for (int i = 0; i < kPixelsPerThread; ++i) {
-      auto const result = jpeg_rgb<F>(luma.v[i], chroma[0][i], chroma[1][i]);
-#pragma unroll
-      for (int c = 0; c < 3; ++c) rgb[c][i] = jpeg_clip<F>(result.v[c]);
-    }
-#pragma unroll
-    for (int c = 0; c < 3; ++c) store_pixels(p.y, image, c, y, x, vectorized, rgb[c]);
+  auto const rows = jpeg_doubled<Compute<T>>(y, int(p.levels.height));
+  for (int64_t image = blockIdx.z; image < p.y.batch; image += gridDim.z)
+    write_pixels(p, image, rows, y, x, vectorized);
+}
+
+// A block has a tile of an image.
+constexpr int kTileThreads = kJpegSide * kJpegWidth / kPixelsPerThread;
+template <class T>
+__global__ void __launch_bounds__(kTileThreads) run_pixels_of_list(__grid_constant__ JpegList<T> const p) {
+  __shared__ __align__(16) unsigned char memory[sizeof(JpegPixels<T>)];
+  int const b = p.list.sample_of(int(blockIdx.x));
+  if (threadIdx.x == 0) new (memory) JpegPixels<T>(p.pixels(b));
+  __syncthreads();
+  auto const& one = *reinterpret_cast<JpegPixels<T> const*>(memory);
+  constexpr int kAcross = kJpegWidth / kPixelsPerThread;
+  TilePosition const at(one.levels, blockIdx.x - unsigned(p.list.first[b]));
+  int const y = at.y + int(threadIdx.x) / kAcross, x = at.x + int(threadIdx.x) % kAcross * kPixelsPerThread;
+  if (x >= one.y.width || y >= one.y.height) return;
+  if (p.copies(b)) {
+    auto const from = images_of<T>(p.list.images[b], p.channels);
+    for (int c = 0; c < 3; ++c)
+      for (int i = x; i < min(x + kPixelsPerThread, int(one.y.width)); ++i)
+        one.y.row(0, c, y)[i * one.y.step] = from.row(0, c, y)[i * from.step];
+    return;
   }
+  write_pixels(one, 0, jpeg_doubled<Compute<T>>(y, int(one.levels.height)), y, x, is_vectorizable(one.y));
 }
 
 template <class T>
@@ -394,6 +440,17 @@ int jpeg_pixels(JpegPixels<T> const& p, CUstream_st* stream) {
   return cudaGetLastError();
 }
 template <class T>
+int jpeg_blocks_list(JpegList<T> const& p, CUstream_st* stream) {
+  static_assert(sizeof(JpegList<T>) <= 32764, "more than a kernel's parameters");
+  run_blocks_of_list<<<unsigned(p.list.items), kThreads, 0, stream>>>(p);
+  return cudaGetLastError();
+}
+template <class T>
+int jpeg_pixels_list(JpegList<T> const& p, CUstream_st* stream) {
+  run_pixels_of_list<<<unsigned(p.list.items), kTileThreads, 0, stream>>>(p);
+  return cudaGetLastError();
+}
+template <class T>
 int jpeg_blocks_backward(JpegBlocksBackward<T> const& p, CUstream_st* stream) {
   run_blocks_backward<<<tiles_of(p.forward.levels, p.grad.batch), kThreads, 0, stream>>>(p);
   return cudaGetLastError();
@@ -411,6 +468,8 @@ int jpeg_steps_backward(JpegStepsBackward<F> const& p, CUstream_st* stream) {
 
 KV_INSTANTIATE(jpeg_blocks, JpegBlocks)
 KV_INSTANTIATE(jpeg_pixels, JpegPixels)
+KV_INSTANTIATE(jpeg_blocks_list, JpegList)
+KV_INSTANTIATE(jpeg_pixels_list, JpegList)
 KV_INSTANTIATE(jpeg_blocks_backward, JpegBlocksBackward)
 KV_INSTANTIATE(jpeg_pixels_backward, JpegPixelsBackward)
 KV_INSTANTIATE_COMPUTED(jpeg_steps_backward, JpegStepsBackward)

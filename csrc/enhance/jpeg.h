@@ -14,6 +14,8 @@
 #pragma once
 
 #include "color/luma.h"
+#include "core/ceil_div.h"
+#include "core/image_list.h"
 #include "core/images.h"
 #include "core/isa.h"
 
@@ -26,6 +28,12 @@ struct JpegTables {
   F const *quality, *luma, *chroma;
   int64_t quality_stride, luma_stride, chroma_stride;
   F number;
+
+  KV_HD void select(int64_t b) {
+    if (quality) quality += b * quality_stride;
+    if (luma) luma += b * luma_stride;
+    if (chroma) chroma += b * chroma_stride;
+  }
 };
 
 template <class F>
@@ -54,6 +62,38 @@ struct JpegPixels {
   JpegLevels<Compute<T>> levels;
   Images<T> y;
 };
+
+// The unit of work: four squares of 16 pixels in a row, each of four blocks of luma and one of each chroma.
+constexpr int kJpegSide = 16, kJpegWidth = 64;
+constexpr int64_t kJpegTileLevels = kJpegSide * kJpegWidth / 2 * 3;
+
+// A list of images of different sizes. An item is a tile, whose levels have a place in memory of their own, so that
+// those of an image have one, too.
+template <class T>
+struct JpegList {
+  JpegTables<Compute<T>> all;
+  Compute<T>* memory;  // kJpegTileLevels for each item
+  ListedSamples list;
+  float const* chosen;  // (B,), 0 for samples that are copied; null: all are chosen
+  int64_t chosen_stride;
+  int channels;
+
+  KV_HD bool copies(int b) const { return chosen && chosen[b * chosen_stride] == 0; }
+  static KV_HD int64_t padded(int64_t side) { return ceil_div(side, int64_t(kJpegSide)) * kJpegSide; }
+  static KV_HD int64_t tiles_across(int64_t width) { return ceil_div(width, int64_t(kJpegWidth)); }
+  static KV_HD int64_t tiles_down(int64_t height) { return ceil_div(height, int64_t(kJpegSide)); }
+  // A sample as a batch of one.
+  KV_HD JpegBlocks<T> blocks(int b) const {
+    JpegTables<Compute<T>> tables = all;
+    tables.select(b);
+    auto const x = images_of<T>(list.images[b], channels);
+    return {x, {memory + list.first[b] * kJpegTileLevels, padded(x.height), padded(x.width)}, tables};
+  }
+  KV_HD JpegPixels<T> pixels(int b) const {
+    return {blocks(b).levels, images_of<T>(list.results[b], channels, list.interleaved)};
+  }
+};
+
 template <class T>
 struct JpegBlocksBackward {
   JpegBlocks<T> forward;
@@ -77,12 +117,11 @@ struct JpegStepsBackward {
 
 KV_KERNEL(jpeg_blocks, JpegBlocks)
 KV_KERNEL(jpeg_pixels, JpegPixels)
+KV_KERNEL(jpeg_blocks_list, JpegList)
+KV_KERNEL(jpeg_pixels_list, JpegList)
 KV_KERNEL(jpeg_blocks_backward, JpegBlocksBackward)
 KV_KERNEL(jpeg_pixels_backward, JpegPixelsBackward)
 KV_KERNEL(jpeg_steps_backward, JpegStepsBackward)
-
-// The unit of work: four squares of 16 pixels in a row, each of four blocks of luma and one of each chroma.
-constexpr int kJpegSide = 16, kJpegWidth = 64;
 
 // --- color -----------------------------------------------------------------------------------------------------------
 

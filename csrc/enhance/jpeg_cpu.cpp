@@ -259,6 +259,44 @@ void jpeg_pixels(JpegPixels<T> const& p, int64_t begin, int64_t end) {
   }
 }
 
+namespace {
+
+// Calls run(sample, first row of tiles, row behind the last, whether it is copied) for the rows of which the first tile
+// is among the items.
+template <class T, class Run>
+KV_HD void rows_of_tiles(JpegList<T> const& p, int64_t begin, int64_t end, Run run) {
+  while (begin < end) {
+    int const b = p.list.sample_of(int(begin));
+    int64_t const first = p.list.first[b], next = b + 1 < p.list.count ? p.list.first[b + 1] : p.list.items;
+    int64_t const last = min(end, next), across = p.tiles_across(p.list.images[b].width);
+    run(b, ceil_div(begin - first, across), ceil_div(last - first, across), p.copies(b));
+    begin = last;
+  }
+}
+
+}  // namespace
+
+template <class T>
+void jpeg_blocks_list(JpegList<T> const& p, int64_t begin, int64_t end) {
+  rows_of_tiles(p, begin, end, [&](int b, int64_t first, int64_t last, bool is_copied) {
+    if (!is_copied) KV_ISA::jpeg_blocks(p.blocks(b), first, last);
+  });
+}
+
+template <class T>
+void jpeg_pixels_list(JpegList<T> const& p, int64_t begin, int64_t end) {
+  rows_of_tiles(p, begin, end, [&](int b, int64_t first, int64_t last, bool is_copied) {
+    auto const blocks = p.blocks(b);
+    auto const pixels = p.pixels(b);
+    int64_t const bottom = min(last * kJpegSide, pixels.y.height);
+    if (!is_copied) return KV_ISA::jpeg_pixels(pixels, first * kJpegSide, bottom);
+    for (int64_t y = first * kJpegSide; y < bottom; ++y)
+      for (int c = 0; c < 3; ++c)
+        for (int64_t x = 0; x < pixels.y.width; ++x)
+          pixels.y.row(0, c, y)[x * pixels.y.step] = blocks.x.row(0, c, y)[x * blocks.x.step];
+  });
+}
+
 template <class T>
 void jpeg_blocks_backward(JpegBlocksBackward<T> const& p, int64_t begin, int64_t end) {
   using F = Compute<T>;
@@ -390,6 +428,8 @@ void jpeg_steps_backward(JpegStepsBackward<F> const& p, int64_t begin, int64_t e
 
 KV_INSTANTIATE(jpeg_blocks, JpegBlocks)
 KV_INSTANTIATE(jpeg_pixels, JpegPixels)
+KV_INSTANTIATE(jpeg_blocks_list, JpegList)
+KV_INSTANTIATE(jpeg_pixels_list, JpegList)
 KV_INSTANTIATE(jpeg_blocks_backward, JpegBlocksBackward)
 KV_INSTANTIATE(jpeg_pixels_backward, JpegPixelsBackward)
 KV_INSTANTIATE_COMPUTED(jpeg_steps_backward, JpegStepsBackward)

@@ -53,8 +53,7 @@ struct ListedImages {
         all, [&](geometry::Size) { return channels(); },
         [&](List& list) { run(list, cost_of_pixel * like().size(2) * like().size(3)); });
   }
-
- private:
+  // The same where items_of(size) says how many items an image has: run(table).
   template <class List, class Filter, class ItemsOf, class Run>
   void for_each_table(Filter const& all, ItemsOf items_of, Run run) const {
     List list;

@@ -1,7 +1,9 @@
-// Operators on lists of images of different sizes by statistics of channels: schemas and entries, for CPU and CUDA.
+// Operators on lists of images of different sizes by statistics of channels or by blocks: schemas and entries, for CPU
+// and CUDA.
 #include "augmentation/lists/listed_images.h"
 #include "enhance/clahe.h"
 #include "enhance/equalize.h"
+#include "enhance/jpeg_glue.h"
 #include "enhance/plane_views.h"
 
 namespace kv::enhance {
@@ -14,6 +16,12 @@ void run([[maybe_unused]] Tensor const& like, EqualizeList<T> const& p, [[maybe_
 template <class T>
 void run([[maybe_unused]] Tensor const& like, ClaheList<T> const& p, [[maybe_unused]] int64_t cost) {
   KV_RUN(clahe_list, like, p, p.list.items, cost);
+}
+template <class T>
+void run([[maybe_unused]] Tensor const& like, JpegList<T> const& p) {
+  constexpr int64_t cost = 16 * kJpegSide * kJpegWidth;
+  KV_RUN(jpeg_blocks_list, like, p, p.list.items, cost);
+  KV_RUN(jpeg_pixels_list, like, p, p.list.items, cost / 4);
 }
 
 }  // namespace
@@ -71,6 +79,27 @@ Tensors equalize_clahe_list(Tensors const& images, OptionalTensor const& chosen,
   return list.kept.results;
 }
 
+Tensors jpeg_list(Tensors const& images, OptionalTensor const& chosen, OptionalTensor const& quality,
+                  OptionalTensor const& table_y, OptionalTensor const& table_c, double number) {
+  ListedImages const list("jpeg_list", images, chosen);
+  Tensor const& like = list.like();
+  KV_CHECK(like.size(1) == 3, list.kept.op, ": expected images of 3 channels, got ", like.size(1));
+  check_pixels(list);
+  enhance::JpegNumbers const numbers(list.kept.op, like, quality, table_y, table_c, number);
+  dispatch_floating(list.kept.op, like, [&]<class T>(Type<T>) {
+    using List = enhance::JpegList<T>;
+    auto const tiles_of = [](geometry::Size size) {
+      return List::tiles_down(size.height) * List::tiles_across(size.width);
+    };
+    list.for_each_table<List>(numbers.tables<Compute<T>>(), tiles_of, [&](List& p) {
+      Tensor const levels = empty({p.list.items * enhance::kJpegTileLevels}, like, Layout::planar, compute_dtype(like));
+      p.memory = data_ptr<Compute<T>>(levels);
+      enhance::run(like, p);
+    });
+  });
+  return list.kept.results;
+}
+
 }  // namespace
 
 // `chosen` (B,) float32: images whose value is 0 stay as they are. What follows are the arguments of the operators on
@@ -79,5 +108,8 @@ KV_OPERATOR(equalize_list, "(Tensor[] images, Tensor? chosen, bool opencv) -> Te
 KV_OPERATOR(equalize_clahe_list,
             "(Tensor[] images, Tensor? chosen, Tensor? clip_limits, float clip_limit, int rows, int columns,"
             " bool opencv) -> Tensor[]")
+KV_OPERATOR(jpeg_list,
+            "(Tensor[] images, Tensor? chosen, Tensor? quality, Tensor? table_y, Tensor? table_c, float number)"
+            " -> Tensor[]")
 
 }  // namespace kv::augmentation

@@ -27,6 +27,7 @@ from kvision.augmentation.random_generator.filters import (
 from kvision.augmentation.random_generator.plain import PlainUniformGenerator
 from kvision.augmentation.ranges import Numbers
 from kvision.constants import AnyBorderType, AnyResample, BorderType, Resample
+from kvision.enhance.batch import colors
 from kvision.filters.smoothing.box import box_arguments
 from kvision.filters.smoothing.gaussian import blur_arguments
 from kvision.filters.smoothing.motion import motion_arguments
@@ -513,6 +514,13 @@ class RandomJPEG(IntensityAugmentationBase2D, keeps_contract=True):
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
         return enhance.jpeg_codec_differentiable(input, params["jpeg_quality"])
+
+    filters_chosen = True
+
+    def _operation(self, like: Tensor, params: Params) -> Operation:
+        colors("RandomJPEG", "input", like)
+        quality = params["jpeg_quality"].to(like.device, compute_dtype(like))
+        return Operation(statistics_lists.jpeg, (quality, None, None, 0.0))
 
 
 def border_name(border: Any) -> Any:

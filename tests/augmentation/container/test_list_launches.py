@@ -25,7 +25,6 @@ BY_SIZE = {
     },
     "statistics or blocks of the whole image": {
         "RandomAutoContrast",
-        "RandomJPEG",
     },
     "a layer of the size of the image": {
         "RandomFog",

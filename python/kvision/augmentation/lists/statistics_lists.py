@@ -1,4 +1,4 @@
-"""Operators on lists of images of different sizes by statistics of channels: those on batches that have kernels for lists."""
+"""Statistics of channels and blocks of lists of images of different sizes: the operators on batches that have kernels for lists."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ from torch import Tensor
 from kvision.enhance.clahe import _equalize_clahe as equalize_clahe
 from kvision.enhance.equalize import _equalize as equalize
 from kvision.enhance.equalize import equalize_backward
+from kvision.enhance.jpeg import _backward as _of_jpeg
+from kvision.enhance.jpeg import _jpeg as jpeg
 from kvision.geometry.transform.lists.arguments import row
 from kvision.geometry.transform.lists.kept_sizes import register_filter
 
@@ -30,3 +32,4 @@ def _of_tiles(needs: Sequence[bool], grad: Tensor, x: Tensor, *args: Any) -> lis
 
 
 register_filter("equalize_clahe_list", equalize_clahe, _of_clahe_sample, _of_tiles)
+register_filter("jpeg_list", jpeg, lambda b, *args: (*(row(t, b) for t in args[:3]), args[3]), _of_jpeg)

@@ -27,20 +27,6 @@ struct Equalize {
 template <class T>
 struct EqualizeList : FilterList<Equalize<T>, T> {};
 
-// A sample of a list, whose rows follow each other, with each channel as one row.
-template <class T>
-KV_HD Planes<T> flat_channels(Planes<T> p) {
-  by_channels(p);
-  p.width *= p.height, p.height = 1;
-  p.row_stride = p.row_size();
-  return p;
-}
-template <class T>
-KV_HD Equalize<T> flat_sample(Equalize<T> one) {
-  one.x = flat_channels(one.x), one.y = flat_channels(one.y);
-  return one;
-}
-
 // Levels have zero gradient; pixels that are returned unchanged pass theirs.
 template <class T>
 struct EqualizeBackward {

@@ -3,6 +3,7 @@
 // chunks backwards: it starts with what the first one read last, which is still in the L2 cache.
 #include "byte_histogram.cuh"
 #include "core/product.h"
+#include "core/stencils/filter_list.cuh"
 #include "min_max.h"
 
 namespace kv::enhance::cuda {
@@ -74,26 +75,26 @@ struct ChunkPosition {
         end(int(min(chunk * size + size, pixels))) {}
 };
 
-template <class T, int P>
-__global__ void __launch_bounds__(kThreads) find_range(MinMax<T> p) {
+// The range of a chunk, to place `to` of the partial ones.
+template <int P, class T>
+__device__ __forceinline__ void find_range_of_chunk(MinMax<T> const& p, ChunkPosition const& at, unsigned to) {
   using F = Compute<T>;
-  ChunkPosition const at(blockIdx.x, p.chunk, p.chunks, p.x.width);
   Range<F> range = Range<F>::none();
   for_each_vector<kThreads, P>(p.x.plane(at.plane), p.x.step, at.begin, at.end, [&](auto const& vector, int) {
 #pragma unroll
     for (T const x : vector.v) range.add({read(x), read(x)});
   });
   range = of_block(range);
-  if (threadIdx.x == 0) reinterpret_cast<Range<F>*>(p.partial)[blockIdx.x] = range;
+  if (threadIdx.x == 0) reinterpret_cast<Range<F>*>(p.partial)[to] = range;
 }
 
-template <class T, int P>
-__global__ void __launch_bounds__(kThreads) map_range(MinMax<T> p) {
+template <int P, class T>
+__device__ __forceinline__ void map_chunk(MinMax<T> const& p, ChunkPosition const& at) {
   using F = Compute<T>;
-  ChunkPosition const at(gridDim.x - 1 - blockIdx.x, p.chunk, p.chunks, p.x.width);
   auto const range = of_plane<Range<F>>(p.partial + 2 * at.plane * p.chunks, p.chunks);
-  F const smallest = range.smallest, low = p.low, factor = p.scale / (range.largest - smallest + p.eps);
-  if (at.chunk == 0 && threadIdx.x == 0) {
+  F const smallest = range.smallest, factor = p.scale / (range.largest - smallest + p.eps);
+  bool const stays = p.keeps_flat && smallest == range.largest;
+  if (at.chunk == 0 && threadIdx.x == 0 && p.range) {
     p.range[2 * at.plane] = round_to<T>(smallest);
     p.range[2 * at.plane + 1] = round_to<T>(range.largest);
   }
@@ -102,9 +103,37 @@ __global__ void __launch_bounds__(kThreads) map_range(MinMax<T> p) {
     constexpr int N = sizeof(vector) / sizeof(T);
     F v[N];
 #pragma unroll
-    for (int k = 0; k < N; ++k) v[k] = (read(vector.v[k]) - smallest) * factor + low;
+    for (int k = 0; k < N; ++k) {
+      F const x = read(vector.v[k]);
+      v[k] = stays ? x : p.mapped(x, smallest, factor);
+    }
     store_vector(y + i * p.y.step, v);
   });
+}
+
+template <class T, int P>
+__global__ void __launch_bounds__(kThreads) find_range(MinMax<T> p) {
+  find_range_of_chunk<P>(p, {blockIdx.x, p.chunk, p.chunks, p.x.width}, blockIdx.x);
+}
+template <class T, int P>
+__global__ void __launch_bounds__(kThreads) map_range(MinMax<T> p) {
+  map_chunk<P>(p, {gridDim.x - 1 - blockIdx.x, p.chunk, p.chunks, p.x.width});
+}
+
+// The first or the second launch of a list.
+template <class T, int P, bool Maps>
+__global__ void __launch_bounds__(kThreads) range_of_list(__grid_constant__ MinMaxList<T> const p) {
+  unsigned block;
+  MinMax<T> const* const one = sample_of_block(p, block);
+  if (!one) return;
+  MinMax<T> flat = flat_sample(*one);
+  flat.chunks = ceil_div(flat.x.width, flat.chunk);
+  flat.partial += 2 * int64_t(blockIdx.x - block);
+  ChunkPosition const at(block, flat.chunk, flat.chunks, flat.x.width);
+  if constexpr (Maps)
+    map_chunk<P>(flat, at);
+  else
+    find_range_of_chunk<P>(flat, at, block);
 }
 
 template <class T, int P>
@@ -132,6 +161,7 @@ __global__ void __launch_bounds__(kThreads) map_gradient(MinMaxBackward<T> p) {
   using F = Compute<T>;
   ChunkPosition const at(gridDim.x - 1 - blockIdx.x, p.chunk, p.chunks, p.x.width);
   F const smallest = read(p.range[2 * at.plane]), largest = read(p.range[2 * at.plane + 1]);
+  bool const stays = p.keeps_flat && smallest == largest;
   RangeGradient<F> const to(of_plane<Sums<F>>(p.partial + 4 * at.plane * p.chunks, p.chunks), smallest, largest,
                             p.scale, p.eps);
   T const* const grad = p.grad.plane(at.plane);
@@ -143,8 +173,9 @@ __global__ void __launch_bounds__(kThreads) map_gradient(MinMaxBackward<T> p) {
 #pragma unroll
     for (int k = 0; k < N; ++k) {
       F const x = read(vector.v[k]);
-      v[k] = product(read(grads.v[k]), to.factor) + (x == smallest ? to.grad_smallest : F(0)) +
-             (x == largest ? to.grad_largest : F(0));
+      F const own = product(read(grads.v[k]), to.factor) + (x == smallest ? to.grad_smallest : F(0)) +
+                    (x == largest ? to.grad_largest : F(0));
+      v[k] = stays ? F(read(grads.v[k])) : own;
     }
     store_vector(grad_x + i * p.grad_x.step, v);
   });
@@ -163,6 +194,25 @@ int min_max(MinMax<T> const& p, CUstream_st* stream) {
 }
 
 template <class T>
+int min_max_list(MinMaxList<T> const& p, CUstream_st* stream) {
+  int error = 0;
+  bool const aligned = all_samples(p, [](MinMax<T> const& one) {
+    MinMax<T> const flat = flat_sample(one);
+    return are_equally_aligned<kPixels<T>>(flat.x, flat.y);
+  });
+  auto const blocks_of = [&](MinMax<T> const& one) {
+    return p.channels * ceil_div(one.x.height * one.x.width, p.all.chunk);
+  };
+  with_row_vectors<kRowVector<T>>(aligned, [&](auto pixels) {
+    error = launch_list(p, blocks_of, [&](MinMaxList<T> const& list, unsigned blocks) {
+      range_of_list<T, pixels.value, false><<<blocks, kThreads, 0, stream>>>(list);
+      range_of_list<T, pixels.value, true><<<blocks, kThreads, 0, stream>>>(list);
+    });
+  });
+  return error;
+}
+
+template <class T>
 int min_max_backward(MinMaxBackward<T> const& p, CUstream_st* stream) {
   constexpr int P = kPixels<T>;
   unsigned const blocks = unsigned(p.x.count() * p.chunks);
@@ -175,6 +225,7 @@ int min_max_backward(MinMaxBackward<T> const& p, CUstream_st* stream) {
 }
 
 KV_INSTANTIATE(min_max, MinMax)
+KV_INSTANTIATE(min_max_list, MinMaxList)
 KV_INSTANTIATE(min_max_backward, MinMaxBackward)
 
 }  // namespace kv::enhance::cuda

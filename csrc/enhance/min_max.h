@@ -2,6 +2,7 @@
 #pragma once
 
 #include "core/isa.h"
+#include "core/stencils/channel_list.h"
 #include "core/view.h"
 
 namespace kv::enhance {
@@ -12,11 +13,25 @@ struct MinMax {
   using F = Compute<T>;
   Planes<T const> x;  // flat: each plane is one row
   Planes<T> y;
-  T* range;  // minimum and maximum of every plane; NaN if the plane has one
+  T* range;  // minimum and maximum of every plane; NaN if the plane has one; null of lists
   F low, scale, eps;
-  int64_t chunk, chunks;  // CUDA: pixels of a plane per block, and the number of such chunks in a plane
-  F* partial;             // CUDA: the ranges of all chunks
+  int64_t chunk, chunks;    // CUDA: pixels of a plane per block, and the number of such chunks in a plane
+  F* partial;               // CUDA: the ranges of all chunks
+  bool clamps, keeps_flat;  // results to the new range, which rounding may leave; planes of one value as they are
+
+  KV_HD void select(int64_t) {}
+  template <class V>
+  KV_HD V mapped(V x, F smallest, F factor) const {
+    V const y = (x - smallest) * factor + low, bottom = V{} + low, top = V{} + (low + scale);
+    if (!clamps) return y;
+    V const above = y < bottom ? bottom : y;  // NaN stays
+    return above > top ? top : above;
+  }
 };
+
+// Of lists `partial` are those of the blocks.
+template <class T>
+struct MinMaxList : FilterList<MinMax<T>, T> {};
 
 template <class T>
 struct MinMaxBackward {
@@ -27,9 +42,11 @@ struct MinMaxBackward {
   F scale, eps;
   int64_t chunk, chunks;
   F* partial;  // CUDA: the RangeSums of all chunks
+  bool keeps_flat = false;
 };
 
 KV_KERNEL(min_max, MinMax)
+KV_KERNEL(min_max_list, MinMaxList)
 KV_KERNEL(min_max_backward, MinMaxBackward)
 
 // Sums of a plane that the gradient needs: of grad, of grad * (x - smallest), and the numbers of pixels with the

@@ -60,14 +60,25 @@ void min_max(MinMax<T> const& p, int64_t begin, int64_t end) {
       is_number = is_number && numbers[i];
     }
     if (!is_number) smallest = largest = F(__builtin_nanf(""));
-    store<1>(p.range + 2 * plane, smallest);
-    store<1>(p.range + 2 * plane + 1, largest);
+    if (p.range) {
+      store<1>(p.range + 2 * plane, smallest);
+      store<1>(p.range + 2 * plane + 1, largest);
+    }
     F const factor = p.scale / (largest - smallest + p.eps);
+    bool const stays = p.keeps_flat && smallest == largest;
     for_each_pixel<T>(n, step, [&](auto width, int64_t i) {
       constexpr int M = decltype(width)::value;
-      store<M>(y + i, (load<M>(x + i) - smallest) * factor + p.low);
+      Lanes<F, M> const v = load<M>(x + i);
+      store<M>(y + i, stays ? v : p.mapped(v, smallest, factor));
     });
   }
+}
+
+template <class T>
+void min_max_list(MinMaxList<T> const& p, int64_t begin, int64_t end) {
+  channel_items(p, begin, end, [](MinMax<T> const& one, int64_t first, int64_t last) {
+    KV_ISA::min_max(flat_sample(one), first, last);
+  });
 }
 
 template <class T>
@@ -79,6 +90,13 @@ void min_max_backward(MinMaxBackward<T> const& p, int64_t begin, int64_t end) {
     T const *const x = p.x.plane(plane), *const g = p.grad.plane(plane);
     T* const grad_x = p.grad_x.plane(plane);
     F const smallest = load<1>(p.range + 2 * plane), largest = load<1>(p.range + 2 * plane + 1);
+    if (p.keeps_flat && smallest == largest) {
+      for_each_pixel<T>(n, step, [&](auto width, int64_t i) {
+        constexpr int M = decltype(width)::value;
+        store<M>(grad_x + i, load<M>(g + i));
+      });
+      continue;
+    }
     RangeSums<double> all{};
     Lanes<F, N> grad{}, product{}, low{}, high{};
     int pending = 0;
@@ -117,6 +135,7 @@ void min_max_backward(MinMaxBackward<T> const& p, int64_t begin, int64_t end) {
 }
 
 KV_INSTANTIATE(min_max, MinMax)
+KV_INSTANTIATE(min_max_list, MinMaxList)
 KV_INSTANTIATE(min_max_backward, MinMaxBackward)
 
 }  // namespace kv::enhance::KV_ISA

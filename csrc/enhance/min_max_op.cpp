@@ -1,31 +1,11 @@
 // Min-max normalization: schemas and entries, for CPU and CUDA.
-#include "min_max.h"
-#include "plane_views.h"
+#include "min_max_glue.h"
 
 namespace kv::enhance {
 namespace {
 
-// CUDA: splits planes into chunks, enough for all multiprocessors, and few enough for the block that combines them.
-struct Chunks {
-  int64_t size, count;
-  Chunks(int64_t planes, int64_t pixels)
-      : size(max(clamp(planes * pixels / 1024, int64_t(4096), int64_t(16384)), (pixels + 1023) / 1024)),
-        count(ceil_div(pixels, size)) {
-    size = (size + 7) / 8 * 8;
-  }
-};
-
-// CUDA: working memory, in the type that T is computed in.
-template <class F>
-Tensor working_memory([[maybe_unused]] Tensor const& like, [[maybe_unused]] int64_t count) {
-#if defined(KV_CUDA)
-  return empty({count}, like, Layout::planar, sizeof(F) == 8 ? ScalarType::Double : ScalarType::Float);
-#else
-  return empty({0}, like, Layout::planar, ScalarType::Float);
-#endif
-}
-
-std::tuple<Tensor, Tensor> normalize_min_max(Tensor const& input, double low, double high, double eps) {
+std::tuple<Tensor, Tensor> normalize_min_max(Tensor const& input, double low, double high, double eps, bool clamps,
+                                             bool keeps_flat) {
   check_planes("normalize_min_max", input);
   Layout const layout = layout_of(input);
   Tensor const x = dense_planes(input, layout), y = empty_like(x, layout), range = empty({x.size(0), x.size(1), 2}, x);
@@ -42,14 +22,16 @@ std::tuple<Tensor, Tensor> normalize_min_max(Tensor const& input, double low, do
                            F(eps),
                            chunks.size,
                            chunks.count,
-                           static_cast<F*>(memory.mutable_data_ptr())};
+                           static_cast<F*>(memory.mutable_data_ptr()),
+                           clamps,
+                           keeps_flat};
     KV_RUN(min_max, x, params, params.x.count(), params.x.width);
   });
   return {y, range};
 }
 
 Tensor normalize_min_max_backward(Tensor const& grad, Tensor const& input, Tensor const& range, double low, double high,
-                                  double eps) {
+                                  double eps, [[maybe_unused]] bool clamps, bool keeps_flat) {
   constexpr char const* op = "normalize_min_max_backward";
   check_planes(op, input);
   check_like(op, "grad", grad, input);
@@ -72,7 +54,8 @@ Tensor normalize_min_max_backward(Tensor const& grad, Tensor const& input, Tenso
                                    F(eps),
                                    chunks.size,
                                    chunks.count,
-                                   static_cast<F*>(memory.mutable_data_ptr())};
+                                   static_cast<F*>(memory.mutable_data_ptr()),
+                                   keeps_flat};
     KV_RUN(min_max_backward, x, params, params.x.count(), 2 * params.x.width);
   });
   return grad_x;
@@ -80,8 +63,11 @@ Tensor normalize_min_max_backward(Tensor const& grad, Tensor const& input, Tenso
 
 }  // namespace
 
-KV_OPERATOR(normalize_min_max, "(Tensor input, float low, float high, float eps) -> (Tensor output, Tensor range)")
+KV_OPERATOR(normalize_min_max,
+            "(Tensor input, float low, float high, float eps, bool clamps, bool keeps_flat)"
+            " -> (Tensor output, Tensor range)")
 KV_OPERATOR(normalize_min_max_backward,
-            "(Tensor grad, Tensor input, Tensor range, float low, float high, float eps) -> Tensor")
+            "(Tensor grad, Tensor input, Tensor range, float low, float high, float eps, bool clamps, bool keeps_flat)"
+            " -> Tensor")
 
 }  // namespace kv::enhance

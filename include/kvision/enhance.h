@@ -31,7 +31,7 @@ inline Tensor equalize_clahe(Tensor const& input, Parameter const& clip_limit = 
 
 inline Tensor normalize_min_max(Tensor const& input, double min_val = 0, double max_val = 1, double eps = 1e-6) {
   Tensor const x = detail::floats(detail::images("normalize_min_max", "input", input));
-  return std::get<0>(ops::normalize_min_max(x, min_val, max_val, eps));
+  return std::get<0>(ops::normalize_min_max(x, min_val, max_val, eps, false, false));
 }
 
 // The densities (B, K) of values (B, D) at points (K,), by Gaussians of a bandwidth; the gradient is to the values.

@@ -6,6 +6,7 @@ import pytest
 import torch
 
 import kvision as K
+from kvision.enhance.min_max import _normalize_min_max
 from op_tests import OpTests, assert_close
 
 E = K.enhance
@@ -59,3 +60,19 @@ def test_flat_planes_become_the_minimum(device):
     y.sum().backward()
     assert_close(y.detach(), torch.zeros_like(y))
     assert x.grad.isfinite().all()
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64, torch.float16], ids=str)
+def test_planes_of_one_value_may_stay(dtype, device):
+    """Their pixels and their gradient; results are clamped where that is asked for."""
+    x = torch.rand(2, 3, 7, 9, dtype=dtype, device=device) * 1e4
+    x[0, 1] = 0.3
+    x[1, 2, 0, 0] = torch.nan
+    x.requires_grad_()
+    y = _normalize_min_max(x, 0.0, 1.0, 1e-6, True, True)[0]
+    weights = torch.rand_like(y)
+    (gradient,) = torch.autograd.grad((y * weights).sum(), x)
+    assert torch.equal(y[0, 1], x[0, 1]) and torch.equal(gradient[0, 1], weights[0, 1])
+    assert y[1, 2].isnan().all() and y[0, [0, 2]].amax() <= 1
+    expected = _normalize_min_max.reference(x, 0.0, 1.0, 1e-6, True, True)[0]
+    assert_close(y, expected, 2e-3, 2e-3)

@@ -4,7 +4,7 @@
 #include "enhance/clahe.h"
 #include "enhance/equalize.h"
 #include "enhance/jpeg_glue.h"
-#include "enhance/plane_views.h"
+#include "enhance/min_max_glue.h"
 
 namespace kv::enhance {
 namespace {
@@ -12,6 +12,10 @@ namespace {
 template <class T>
 void run([[maybe_unused]] Tensor const& like, EqualizeList<T> const& p, [[maybe_unused]] int64_t cost) {
   KV_RUN(equalize_list, like, p, p.list.items, cost);
+}
+template <class T>
+void run([[maybe_unused]] Tensor const& like, MinMaxList<T> const& p, [[maybe_unused]] int64_t cost) {
+  KV_RUN(min_max_list, like, p, p.list.items, cost);
 }
 template <class T>
 void run([[maybe_unused]] Tensor const& like, ClaheList<T> const& p, [[maybe_unused]] int64_t cost) {
@@ -49,6 +53,27 @@ Tensors equalize_list(Tensors const& images, OptionalTensor const& chosen, bool 
     all.sample_counts = like.size(1) * enhance::kLevels;
     list.filter_channels<enhance::EqualizeList<T>>(all, 2,
                                                    [&](auto const& p, int64_t cost) { enhance::run(like, p, cost); });
+  });
+  return list.kept.results;
+}
+
+Tensors normalize_min_max_list(Tensors const& images, OptionalTensor const& chosen, double low, double high, double eps,
+                               bool clamps, bool keeps_flat) {
+  ListedImages const list("normalize_min_max_list", images, chosen, true);
+  Tensor const& like = list.like();
+  check_pixels(list);
+  int64_t const planes = like.size(0) * like.size(1), pixels = like.size(2) * like.size(3);
+  enhance::Chunks const chunks(planes, pixels);
+  dispatch_floating(list.kept.op, like, [&]<class T>(Type<T>) {
+    using F = Compute<T>;
+    Tensor const memory = enhance::working_memory<F>(like, 2 * planes * chunks.count);
+    enhance::MinMax<T> all{};
+    all.low = F(low), all.scale = F(high - low), all.eps = F(eps);
+    all.chunk = chunks.size;
+    all.partial = data_ptr<F>(memory);
+    all.clamps = clamps, all.keeps_flat = keeps_flat;
+    list.filter_channels<enhance::MinMaxList<T>>(all, 2,
+                                                 [&](auto const& p, int64_t cost) { enhance::run(like, p, cost); });
   });
   return list.kept.results;
 }
@@ -105,6 +130,9 @@ Tensors jpeg_list(Tensors const& images, OptionalTensor const& chosen, OptionalT
 // `chosen` (B,) float32: images whose value is 0 stay as they are. What follows are the arguments of the operators on
 // batches.
 KV_OPERATOR(equalize_list, "(Tensor[] images, Tensor? chosen, bool opencv) -> Tensor[]")
+KV_OPERATOR(normalize_min_max_list,
+            "(Tensor[] images, Tensor? chosen, float low, float high, float eps, bool clamps, bool keeps_flat)"
+            " -> Tensor[]")
 KV_OPERATOR(equalize_clahe_list,
             "(Tensor[] images, Tensor? chosen, Tensor? clip_limits, float clip_limit, int rows, int columns,"
             " bool opencv) -> Tensor[]")

@@ -11,6 +11,20 @@ KV_HD void by_channels(Planes<T>& p) {
   if (p.step > 1) p.inner = p.step, p.inner_stride = 1;
 }
 
+// A sample, whose rows follow each other, with each channel as one row.
+template <class T>
+KV_HD Planes<T> flat_channels(Planes<T> p) {
+  by_channels(p);
+  p.width *= p.height, p.height = 1;
+  p.row_stride = p.row_size();
+  return p;
+}
+template <class Filter>
+KV_HD Filter flat_sample(Filter one) {
+  one.x = flat_channels(one.x), one.y = flat_channels(one.y);
+  return one;
+}
+
 // On the CPU an item is all pixels of a channel. Calls run(sample, first channel, channel behind the last) for the
 // items [begin, end).
 template <class List, class Run>

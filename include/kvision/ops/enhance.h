@@ -58,7 +58,8 @@ inline constexpr Operator<"jpeg", Tensor(Tensor input, OptionalTensor quality, O
 
 // --- enhance/min_max_op.cpp
 
-inline constexpr Operator<"normalize_min_max", Two(Tensor input, double low, double high, double eps)>
+inline constexpr Operator<"normalize_min_max",
+                          Two(Tensor input, double low, double high, double eps, bool clamps, bool keeps_flat)>
     normalize_min_max{Rule{detail::normalize_min_max_gradients, 1}};
 
 // --- enhance/sharpness_op.cpp
@@ -101,7 +102,9 @@ inline variable_list image_histogram2d_gradients(Backward const& b) {
 
 inline variable_list normalize_min_max_gradients(Backward const& b) {
   return b.run("normalize_min_max_backward",
-               {b.grads[0], b.arguments[0], b.results[0], b.arguments[1], b.arguments[2], b.arguments[3]}, no_gradient);
+               {b.grads[0], b.arguments[0], b.results[0], b.arguments[1], b.arguments[2], b.arguments[3],
+                b.arguments[4], b.arguments[5]},
+               no_gradient);
 }
 
 inline variable_list sharpness_gradients(Backward const& b) {

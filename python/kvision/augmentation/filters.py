@@ -11,7 +11,6 @@ from torch import Tensor
 
 from kvision import _check, enhance, filters
 from kvision._choices import Border
-from kvision._clamp import clamp
 from kvision._dtype import compute_dtype
 from kvision._modes import BORDER
 from kvision.augmentation.engine import AugmentationBase, Execution, Params
@@ -27,7 +26,7 @@ from kvision.augmentation.random_generator.filters import (
 from kvision.augmentation.random_generator.plain import PlainUniformGenerator
 from kvision.augmentation.ranges import Numbers
 from kvision.constants import AnyBorderType, AnyResample, BorderType, Resample
-from kvision.enhance.batch import colors
+from kvision.enhance.batch import as_batch, colors
 from kvision.filters.smoothing.box import box_arguments
 from kvision.filters.smoothing.gaussian import blur_arguments
 from kvision.filters.smoothing.motion import motion_arguments
@@ -411,9 +410,13 @@ class RandomAutoContrast(IntensityAugmentationBase2D, keeps_contract=True):
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
-        stretched = enhance.normalize_min_max(input)
-        stretched = clamp(stretched, 0, 1) if self.clip_output else stretched
-        return torch.where(has_range(input), stretched, input)
+        return self._operation(input, params)(as_batch(input)).reshape(input.shape)
+
+    filters_chosen = True
+
+    def _operation(self, like: Tensor, params: Params) -> Operation:
+        settings = (0.0, 1.0, 1e-6, self.clip_output, True)
+        return Operation(statistics_lists.normalize_min_max, settings)
 
 
 def has_range(x: Tensor) -> Tensor:

@@ -2,32 +2,38 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._clamp import clamp
 from kvision._dtype import floats
 from kvision._ops import register, vjp
 from kvision.core.exceptions import ShapeError
 from kvision.enhance.batch import as_batch, shaped
 
 
-def _stretch(x: Tensor, low: float, high: float, eps: float) -> Tensor:
-    darkest = x.amin((-2, -1), keepdim=True)
-    span = x.amax((-2, -1), keepdim=True) - darkest
-    return (high - low) * (x - darkest) / (span + eps) + low
+def _stretch(x: Tensor, low: float, high: float, eps: float, clamps: bool, keeps_flat: bool) -> Tensor:
+    """Planes to a range. `clamps`: the results, which leave it by rounding alone. `keeps_flat`: planes of one value."""
+    darkest, brightest = x.amin((-2, -1), keepdim=True), x.amax((-2, -1), keepdim=True)
+    y = (high - low) * (x - darkest) / (brightest - darkest + eps) + low
+    if clamps:
+        y = y + (clamp(y, low, high) - y).detach()
+    return torch.where(darkest == brightest, x, y) if keeps_flat else y
 
 
-def _reference(x: Tensor, low: float, high: float, eps: float) -> tuple[Tensor, Tensor]:
+def _reference(x: Tensor, *settings: Any) -> tuple[Tensor, Tensor]:
     """Normalize every plane of (B, C, H, W); also return the ranges (B, C, 2), which the gradient reads."""
-    return _stretch(x, low, high, eps), torch.stack([x.amin((-2, -1)), x.amax((-2, -1))], -1)
+    return _stretch(x, *settings), torch.stack([x.amin((-2, -1)), x.amax((-2, -1))], -1)
 
 
-def _reference_backward(grad: Tensor, x: Tensor, range: Tensor, low: float, high: float, eps: float) -> Tensor:
-    return vjp(_stretch)(grad, x, low, high, eps)
+def _reference_backward(grad: Tensor, x: Tensor, range: Tensor, *settings: Any) -> Tensor:
+    return vjp(_stretch)(grad, x, *settings)
 
 
-register("normalize_min_max_backward", _reference_backward, layout_of=1)
+_backward = register("normalize_min_max_backward", _reference_backward, layout_of=1)
 
 
 _normalize_min_max = register(
@@ -71,4 +77,4 @@ def normalize_min_max(input: Tensor, min_val: float = 0.0, max_val: float = 1.0,
     low = _check.number("normalize_min_max", "min_val", min_val)
     high = _check.number("normalize_min_max", "max_val", max_val)
     eps = _check.number("normalize_min_max", "eps", eps, minimum=0)
-    return shaped(_normalize_min_max(as_batch(floats(input)), low, high, eps)[0], input)
+    return shaped(_normalize_min_max(as_batch(floats(input)), low, high, eps, False, False)[0], input)

@@ -23,9 +23,7 @@ BY_SIZE = {
         "RandomMotionBlur",
         "RingingOvershoot",
     },
-    "statistics or blocks of the whole image": {
-        "RandomAutoContrast",
-    },
+    "statistics or blocks of the whole image": {},
     "a layer of the size of the image": {
         "RandomFog",
         "RandomSnow",

@@ -19,7 +19,6 @@ from kvision.augmentation.corruption.layer import behind, layered
 from kvision.augmentation.corruption.layer_base import LayerAugmentation
 from kvision.augmentation.engine import Execution, Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
-from kvision.augmentation.lists.sides import sizes_of_list
 from kvision.augmentation.random_generator.mapped import MappedGenerator, NoiseMap
 from kvision.augmentation.random_generator.plasma import PlasmaGenerator
 from kvision.augmentation.ranges import Numbers
@@ -125,8 +124,8 @@ def frosted(
     if images is None:
         places = constant((count, tall - height + 1, wide - width + 1), u)
     else:
-        free = constant((tall + 1, wide + 1), u) - sizes_of_list(images)
-        places = torch.cat([torch.full_like(u[:, :1], count), free], 1)
+        of_each = [(count, tall - x.shape[-2] + 1, wide - x.shape[-1] + 1) for x in images]
+        places = torch.tensor(of_each, dtype=u.dtype, device="cpu").to(u.device, non_blocking=True)
     own = textures if x.shape[1] == textures.shape[1] else textures.mean(1, keepdim=True)
     return layered(own.to(compute_dtype(x)), of_image, 0.0, of_frost, 0.0, windows=(u * places).long())
 

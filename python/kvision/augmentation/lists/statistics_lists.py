@@ -12,6 +12,8 @@ from kvision.enhance.equalize import _equalize as equalize
 from kvision.enhance.equalize import equalize_backward
 from kvision.enhance.jpeg import _backward as _of_jpeg
 from kvision.enhance.jpeg import _jpeg as jpeg
+from kvision.enhance.min_max import _backward as _normalize_min_max_backward
+from kvision.enhance.min_max import _normalize_min_max as normalize_min_max
 from kvision.geometry.transform.lists.arguments import row
 from kvision.geometry.transform.lists.kept_sizes import register_filter
 
@@ -21,6 +23,13 @@ def _of_equalized(needs: Sequence[bool], grad: Tensor, x: Tensor, opencv: bool) 
 
 
 register_filter("equalize_list", equalize, lambda b, opencv: (opencv,), _of_equalized)
+
+
+def _of_range(needs: Sequence[bool], grad: Tensor, x: Tensor, *settings: Any) -> list[Tensor | None]:
+    return [_normalize_min_max_backward(grad, x, normalize_min_max(x, *settings)[1], *settings)]
+
+
+register_filter("normalize_min_max_list", normalize_min_max, lambda b, *settings: settings, _of_range)
 
 
 def _of_clahe_sample(b: int, clip_limits: Tensor | None, *rest: Any) -> tuple[Any, ...]:

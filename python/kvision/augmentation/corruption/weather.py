@@ -19,6 +19,7 @@ from kvision.augmentation.corruption.layer import behind, layered
 from kvision.augmentation.corruption.layer_base import LayerAugmentation
 from kvision.augmentation.engine import Execution, Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
+from kvision.augmentation.lists.sides import rows_on_device
 from kvision.augmentation.random_generator.mapped import MappedGenerator, NoiseMap
 from kvision.augmentation.random_generator.plasma import PlasmaGenerator
 from kvision.augmentation.ranges import Numbers
@@ -124,8 +125,8 @@ def frosted(
     if images is None:
         places = constant((count, tall - height + 1, wide - width + 1), u)
     else:
-        of_each = [(count, tall - x.shape[-2] + 1, wide - x.shape[-1] + 1) for x in images]
-        places = torch.tensor(of_each, dtype=u.dtype, device="cpu").to(u.device, non_blocking=True)
+        of_each = ((count, tall - x.shape[-2] + 1, wide - x.shape[-1] + 1) for x in images)
+        places = rows_on_device(tuple(of_each), u)
     own = textures if x.shape[1] == textures.shape[1] else textures.mean(1, keepdim=True)
     return layered(own.to(compute_dtype(x)), of_image, 0.0, of_frost, 0.0, windows=(u * places).long())
 

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from kvision._constants import constant
 from kvision.geometry.transform.lists.arguments import sizes
 
 
@@ -38,8 +39,17 @@ class Side(NamedTuple):
 
 def sizes_of_list(images: Sequence[Tensor]) -> Tensor:
     """Height and width of images (C, H, W), (B, 2) float64 on their device."""
-    own = torch.tensor(sizes(images), dtype=torch.float64, device="cpu").view(-1, 2)
-    return own.to(images[0].device, non_blocking=True)
+    each = sizes(images)
+    return rows_on_device(tuple(zip(each[::2], each[1::2])), images[0])
+
+
+def rows_on_device(rows: tuple[tuple[float, ...], ...], like: Tensor) -> Tensor:
+    """A row of numbers of each image, float64 on the device of a tensor, without waiting for it."""
+    if like.is_cuda and torch.cuda.is_current_stream_capturing():
+        return constant(
+            rows, like, torch.float64
+        )  # a graph would repeat the copy from memory that has other owners by then
+    return torch.tensor(rows, dtype=torch.float64, device="cpu").to(like.device, non_blocking=True)
 
 
 def sides_of_list(images: Sequence[Tensor]) -> tuple[Side, Side]:

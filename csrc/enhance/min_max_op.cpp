@@ -1,5 +1,6 @@
 // Min-max normalization: schemas and entries, for CPU and CUDA.
-#include "min_max_glue.h"
+#include "min_max.h"
+#include "plane_views.h"
 
 namespace kv::enhance {
 namespace {

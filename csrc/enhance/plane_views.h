@@ -50,6 +50,26 @@ PlaneParameter<F> plane_parameter(char const* op, char const* name, Tensor const
   return {data_ptr<F const>(t), t.size(0) > 1 ? t.stride(0) : 0, t.size(1) > 1 ? t.stride(1) : 0, x.size(1), 0};
 }
 
+// CUDA: splits planes into chunks, enough for all multiprocessors, and few enough for the block that combines them.
+struct Chunks {
+  int64_t size, count;
+  Chunks(int64_t planes, int64_t pixels)
+      : size(max(clamp(planes * pixels / 1024, int64_t(4096), int64_t(16384)), (pixels + 1023) / 1024)),
+        count(ceil_div(pixels, size)) {
+    size = (size + 7) / 8 * 8;
+  }
+};
+
+// CUDA: working memory, in the type that T is computed in.
+template <class F>
+Tensor working_memory([[maybe_unused]] Tensor const& like, [[maybe_unused]] int64_t count) {
+#if defined(KV_CUDA)
+  return empty({count}, like, Layout::planar, sizeof(F) == 8 ? ScalarType::Double : ScalarType::Float);
+#else
+  return empty({0}, like, Layout::planar, ScalarType::Float);
+#endif
+}
+
 // Kernels count the pixels of a plane in int.
 inline void check_planes(char const* op, Tensor const& x) {
   check_images(op, "input", x);

@@ -4,7 +4,8 @@
 #include "enhance/clahe.h"
 #include "enhance/equalize.h"
 #include "enhance/jpeg_glue.h"
-#include "enhance/min_max_glue.h"
+#include "enhance/min_max.h"
+#include "enhance/plane_views.h"
 
 namespace kv::enhance {
 namespace {

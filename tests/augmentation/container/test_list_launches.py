@@ -23,12 +23,9 @@ BY_SIZE = {
         "RandomMotionBlur",
         "RingingOvershoot",
     },
-    "statistics or blocks of the whole image": {},
-    "a layer of the size of the image": {
-        "RandomFog",
-        "RandomSnow",
-        "Spatter",
-    },
+    "a statistic of the whole image": {"RandomFog"},
+    "colors by torch": {"RandomSnow"},
+    "drops and stains in a layer of each size": {"Spatter"},
     "objects of the masks of a call": {"MaskDropout"},
 }
 

@@ -23,7 +23,6 @@ BY_SIZE = {
         "RandomMotionBlur",
         "RingingOvershoot",
     },
-    "a statistic of the whole image": {"RandomFog"},
     "colors by torch": {"RandomSnow"},
     "drops and stains in a layer of each size": {"Spatter"},
     "objects of the masks of a call": {"MaskDropout"},

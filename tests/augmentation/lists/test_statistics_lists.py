@@ -23,6 +23,7 @@ MAKE = {
     "equalized tiles": lambda **o: A.RandomClahe((1.0, 40.0), (3, 2), **o),
     "codec": lambda **o: A.RandomJPEG((20.0, 80.0), **o),
     "stretched": lambda **o: A.RandomAutoContrast(**o),
+    "fog": lambda **o: A.RandomFog(**o),
     "pixels": lambda **o: A.Downscale((0.2, 0.9), **o),
     "photons": lambda **o: A.CommonCorruption("shot_noise", 2, **o),
     "impulses": lambda **o: A.CommonCorruption("impulse_noise", 2, **o),
@@ -62,7 +63,7 @@ def test_each_image_gets_what_it_gets_alone(name, dtype, device):
                 torch.autograd.grad(sum((y * w).sum() for y, w in zip(of, weights)), given) for of in (results, alone)
             )
             for a, b in zip(of_list, of_images):
-                assert_close(a, b, 2e-3, 2e-3)
+                assert_close(a, b, *((1e-2, 1e-2) if dtype == torch.bfloat16 else (2e-3, 2e-3)))
         for a, b in zip(results, augment(given, params=params)):
             assert_close(a, b, *((0, 1) if is_byte else (8e-3, 8e-3)))
 

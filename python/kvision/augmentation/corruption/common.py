@@ -209,7 +209,7 @@ def _frost(like: Tensor, drawn: Params, images: Images, of_image: float, of_fros
 
 def _fog(x: Tensor, drawn: Params, amount: float, roughness: float) -> Tensor:
     own = compute_dtype(x)
-    return fogged(x, drawn["plasma"].to(own), constant((amount,), x, own))
+    return fogged(x, drawn["plasma"].to(own), constant((amount,), x, own))(x)
 
 
 def _contrast(x: Tensor, drawn: Params, factor: float) -> Tensor:

@@ -19,7 +19,8 @@ from kvision.augmentation.corruption.layer import behind, layered
 from kvision.augmentation.corruption.layer_base import LayerAugmentation
 from kvision.augmentation.engine import Execution, Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
-from kvision.augmentation.lists.sides import rows_on_device
+from kvision.augmentation.lists.brightest import brightest
+from kvision.augmentation.lists.sides import rows_on_device, sides_of_list
 from kvision.augmentation.random_generator.mapped import MappedGenerator, NoiseMap
 from kvision.augmentation.random_generator.plasma import PlasmaGenerator
 from kvision.augmentation.ranges import Numbers
@@ -27,27 +28,30 @@ from kvision.augmentation.samples import per_sample
 from kvision.core.exceptions import ShapeError, TypeCheckError
 from kvision.enhance.equalize import equalize
 from kvision.filters.smoothing.gaussian import gaussian_blur2d
-from kvision.geometry.transform.lists.arguments import largest_shape
+from kvision.geometry.transform.lists.arguments import largest_shape, sizes
 from kvision.geometry.transform.lists.kept_sizes import Operation
 
 SpatterMode: TypeAlias = Literal["rain", "mud"]
 _COLORS = {"rain": (175 / 255, 238 / 255, 238 / 255), "mud": (63 / 255, 42 / 255, 20 / 255)}
 
 
-def fogged(x: Tensor, plasma: Tensor, amount: Tensor) -> Tensor:
-    """Images under clouds (B, 1, H, W), stretched to [0, 1], of amounts (B,); the brightest value stays as it is."""
-    (low, high), brightest = (
-        torch.aminmax(plasma.flatten(1), dim=1),
-        clamp(x.amax((1, 2, 3)), 0, 255 if x.dtype == torch.uint8 else 1),
-    )
-    if x.dtype == torch.uint8:
+def fogged(x: Tensor, plasma: Tensor, amount: Tensor) -> Operation:
+    """What puts images under clouds (B, 1, H, W), stretched to [0, 1], of amounts (B,); the brightest value stays as it is."""
+    low, high = torch.aminmax(plasma.flatten(1), dim=1)
+    return fogging(x, x.amax((1, 2, 3)), plasma, low, high, amount)
+
+
+def fogging(like: Tensor, brightest: Tensor, plasma: Tensor, low: Tensor, high: Tensor, amount: Tensor) -> Operation:
+    """The same for images of a type, by their largest values (B,) and the lowest and highest of the clouds."""
+    brightest = clamp(brightest, 0, 255 if like.dtype == torch.uint8 else 1)
+    if like.dtype == torch.uint8:
         brightest = brightest.to(amount.dtype) / 255
     darker = brightest.to(amount.dtype) / (brightest + amount).clamp(min=1e-12)
     clouds = darker * amount / (high - low).clamp(min=1e-12)
-    return behind(x, plasma, darker[:, None], 0.0, clouds[:, None], (-low * clouds)[:, None])
+    return layered(plasma, darker[:, None], 0.0, clouds[:, None], (-low * clouds)[:, None])
 
 
-class RandomFog(IntensityAugmentationBase2D, keeps_contract=True):
+class RandomFog(LayerAugmentation, keeps_contract=True):
     """Add fractal clouds to images, and darken them so that the brightest value stays, as in ImageNet-C.
 
     Args:
@@ -82,11 +86,22 @@ class RandomFog(IntensityAugmentationBase2D, keeps_contract=True):
             "RandomFog", roughness, (intensity, "intensity", None, bounds), one_channel=True
         )
 
-    def apply_transform(
-        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
-    ) -> Tensor:
-        plasma, amount = (params[name].to(input.device, compute_dtype(input)) for name in ("plasma", "intensity"))
-        return fogged(input, plasma, amount)
+    _param_generator: PlasmaGenerator
+
+    def _operation(self, like: Tensor, params: Params) -> Operation:
+        plasma, amount = (params[name].to(like.device, compute_dtype(like)) for name in ("plasma", "intensity"))
+        return fogged(like, plasma, amount)
+
+    def _operation_on_list(self, images: Sequence[Tensor], like: Tensor, execution: Execution) -> Operation:
+        assert execution.columns is not None
+        values, noise = execution.columns.values, self._pixel_noise(execution, execution.redraw, like.device)
+        plasma = self._param_generator.plasma(values, like.shape[1], sizes(images), noise).to(compute_dtype(like))
+        down, right = sides_of_list(images)
+        beyond = ~(down.inside(plasma)[:, None, :, None] & right.inside(plasma)[:, None, None])
+        low = plasma.masked_fill(beyond, torch.inf).amin((1, 2, 3))
+        high = plasma.masked_fill(beyond, -torch.inf).amax((1, 2, 3))
+        amount = self._named(values, execution)["intensity"].to(plasma)
+        return fogging(like, brightest(images), plasma, low, high, amount)
 
 
 def as_textures(op: str, texture: Any) -> Tensor:

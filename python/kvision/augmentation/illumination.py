@@ -34,7 +34,7 @@ class Illumination(LayerAugmentation, keeps_contract=True):
 
     def _operation_on_list(self, images: Sequence[Tensor], like: Tensor, execution: Execution) -> Operation:
         assert execution.columns is not None
-        light = self._param_generator.light(execution.columns.values, *sides_of_list(images))
+        light = self._param_generator._light(execution.columns.values, *sides_of_list(images))
         return _added(light[:, None].to(compute_dtype(like)))
 
 

@@ -25,13 +25,14 @@ _Parts = tuple[tuple[float | Tensor, Tensor], tuple[float | Tensor, Tensor]]
 class IlluminationGenerator(RandomGeneratorBase):
     """Base of generators whose columns say how the light falls."""
 
-    def light(self, columns: Tensor, down: Side, right: Side) -> Tensor:
+    def _light(self, columns: Tensor, down: Side, right: Side) -> Tensor:
         """The maps (B, H, W) of images with these sides. Those of lists are as large as the longest ones."""
-        raise NotImplementedError(f"{type(self).__name__}.light")
+        raise NotImplementedError(f"{type(self).__name__}._light")
 
     def to_params(self, columns: Tensor, shape: Shape) -> dict[str, Tensor]:
-        down, right = (Side(size, size) for size in shape[-2:])
-        return {"gradient": self.light(columns, down, right)[:, None].expand(*shape)}
+        sides: list[Any] = [int(n) if isinstance(n, Tensor) else n for n in shape[-2:]]
+        down, right = (Side(n, n) for n in sides)
+        return {"gradient": self._light(columns, down, right)[:, None].expand(*shape)}
 
 
 class GaussianIlluminationGenerator(IlluminationGenerator):
@@ -74,7 +75,7 @@ class GaussianIlluminationGenerator(IlluminationGenerator):
         center, sigma = self._center.uniform(), self._sigma.uniform()
         return [self._gain.uniform(), self._sign.uniform(), center, center, sigma, sigma]
 
-    def light(self, columns: Tensor, down: Side, right: Side) -> Tensor:
+    def _light(self, columns: Tensor, down: Side, right: Side) -> Tensor:
         gain, sign, center_x, center_y, sigma_x, sigma_y = columns.double().unbind(1)
         rows, columns_of_map = _bump(center_y, sigma_y, down), _bump(center_x, sigma_x, right)
         low, high = (
@@ -115,7 +116,7 @@ class LinearIlluminationGenerator(IlluminationGenerator):
     def draws(self, shape: Shape) -> Sequence[Any]:
         return [self._gain.uniform(), self._sign.uniform(), integer(0, 3)]
 
-    def light(self, columns: Tensor, down: Side, right: Side) -> Tensor:
+    def _light(self, columns: Tensor, down: Side, right: Side) -> Tensor:
         gain, sign, direction = columns.double().unbind(1)
         light, parts = _signed(gain, sign), self._parts(direction, down, right)
         rows, columns_of_map = (

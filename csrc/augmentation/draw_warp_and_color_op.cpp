@@ -124,26 +124,44 @@ std::tuple<Tensor, Tensor> draw_sized_parameters(Tensors const& list, Tensor con
   return {columns, sizes_of(list, plan)};
 }
 
-// The same of images that keep their sizes, with `linear` as above. The plan has the listed draws behind the count of
-// the draws' numbers, and 1 instead of a size if there is a warp. Behind the results are matrices, columns and sizes.
+// The same of images whose results are a list, with `linear` as above, or with the numbers of each image, and behind
+// these the height and width of its result, `of_each` (B, N + 2) on the CPU; otherwise images keep their sizes. The
+// plan has the listed draws behind the count of the draws' numbers, and 1 instead of a size if there is a warp. Behind
+// the results are matrices, columns and sizes of images.
 Tensors draw_warp_and_color_to_list(Tensors const& list, Tensor const& keys, std::optional<Tensor> const& seeds,
-                                    Tensor const& linear, Tensor const& plan, Tensor const& numbers) {
+                                    Tensor const& linear, std::optional<Tensor> const& of_each, Tensor const& plan,
+                                    Tensor const& numbers) {
   constexpr char const* op = "draw_warp_and_color_to_list";
   PassImages const images(op, list);
   PlanReader rest = read_plan(op, plan, numbers);
   auto const draws = rest.next_list();
   auto params = draws_of(images.like, keys, seeds, draws, rest.next_numbers(rest.next_count()));
-  std::vector<double> const own = numbers_of_sizes(op, list, linear);
+  std::vector<double> own;
+  std::vector<int64_t> sides;
+  int64_t const width = of_each ? of_each->size(1) - 2 : linear.size(1);
+  if (of_each) {
+    KV_CHECK(of_each->is_cpu() && of_each->scalar_type() == ScalarType::Double && of_each->is_contiguous() &&
+                 of_each->dim() == 2 && of_each->size(0) == int64_t(list.size()) && width >= 0,
+             op, ": expected float64 numbers of shape (B, N + 2) on the CPU");
+    double const* row = data_ptr<double const>(*of_each);
+    for (size_t b = 0; b < list.size(); ++b, row += width + 2) {
+      own.insert(own.end(), row, row + width);
+      sides.insert(sides.end(), {int64_t(row[width]), int64_t(row[width + 1])});
+    }
+  } else {
+    own = numbers_of_sizes(op, list, linear);
+  }
   list_draws(op, params, rest.next_list(), own);
   bool const warps = !rest.next_list().empty();
+  if (!warps) sides.clear();
   PlanReader of_pass = rest;
   of_pass.next(kPassOptions);
-  auto const [columns, drawn_matrix] = draw_list_columns(op, images.like, params, own, size_t(linear.size(1)),
-                                                         warps ? of_pass.next_chain() : ChainPlan{});
+  auto const [columns, drawn_matrix] =
+      draw_list_columns(op, images.like, params, own, size_t(width), warps ? of_pass.next_chain() : ChainPlan{});
   auto const pass_plan = rest.plan();
   auto const pass_numbers = rest.numbers();
   auto [results, matrix, means] =
-      run_pass_to_list(images, columns, {}, drawn_matrix, warps, {}, {pass_plan.begin(), pass_plan.end()},
+      run_pass_to_list(images, columns, {}, drawn_matrix, warps, sides, {pass_plan.begin(), pass_plan.end()},
                        {pass_numbers.begin(), pass_numbers.end()});
   results.push_back(matrix ? *matrix : columns);
   results.push_back(columns);
@@ -156,8 +174,10 @@ Tensors draw_warp_and_color_to_list(Tensors const& list, Tensor const& keys, std
 KV_OPERATOR(
     draw_sized_parameters,
     "(Tensor[] images, Tensor keys, Tensor? seeds, Tensor linear, Tensor plan, Tensor numbers) -> (Tensor, Tensor)")
-KV_OPERATOR(draw_warp_and_color_to_list,
-            "(Tensor[] images, Tensor keys, Tensor? seeds, Tensor linear, Tensor plan, Tensor numbers) -> Tensor[]")
+KV_OPERATOR(
+    draw_warp_and_color_to_list,
+    "(Tensor[] images, Tensor keys, Tensor? seeds, Tensor linear, Tensor? of_each, Tensor plan, Tensor numbers) "
+    "-> Tensor[]")
 KV_OPERATOR(draw_list_warp_and_color,
             "(Tensor[] images, Tensor keys, Tensor? seeds, Tensor plan, Tensor numbers) -> "
             "(Tensor, Tensor, Tensor, Tensor, Tensor)")

@@ -271,7 +271,7 @@ def test_the_operator_promises_what_it_gives(device, backend, monkeypatch):
         for name in ("colors", "affine", "everything"):
             augment, calls = A.ImageSequential(*PASSES[name]()), []
             operator = list_runs.warp_and_color_to_list
-            monkeypatch.setattr(DrawnListPass, "run", lambda *args: None)
+            monkeypatch.setattr(DrawnListPass, "serves", lambda *args: False)
             monkeypatch.setattr(list_runs, "warp_and_color_to_list", lambda *a: (calls.append(a), operator(*a))[1])  # noqa: B023
             augment(images, seed=0)
             monkeypatch.undo()

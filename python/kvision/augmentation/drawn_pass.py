@@ -160,7 +160,7 @@ class SizedDraws:
 
 
 class DrawnListPass:
-    """Draws as those of SizedDraws, and a pass over the images, which keep their sizes, that reads the drawn columns."""
+    """Draws as those of SizedDraws, and a pass over the images, whose results are a list, that reads the drawn columns."""
 
     def __init__(
         self,
@@ -174,13 +174,21 @@ class DrawnListPass:
         self.of_batch, self.listed, self.linear = DrawnPass(draws, image_pass, shape, dtype), listed, linear
         self._plan: tuple[Tensor, Tensor] | None = None
 
-    def run(self, images: list[Tensor], keys: Keys) -> tuple[list[Tensor], Tensor, Tensor] | None:
-        """The results, the columns, and the sizes (B, 2) on the CPU; None where no kernel does it all."""
-        x, draws, image_pass = images[0], self.of_batch.draws, self.of_batch.image_pass
+    def serves(self, images: list[Tensor]) -> bool:
+        """Whether a kernel does it all."""
+        x = images[0]
         if not self.of_batch.has_kernel or not _draw_warp_and_color_to_list.serves(x) or in_forward_ad():
-            return None
-        if is_grad_enabled() and any([image.requires_grad for image in images]):
-            return None
+            return False
+        return not (is_grad_enabled() and any([image.requires_grad for image in images]))
+
+    def run(
+        self, images: list[Tensor], keys: Keys, of_each: Tensor | None = None
+    ) -> tuple[list[Tensor], Tensor, Tensor]:
+        """The results, the columns, and the sizes (B, 2) of the images on the CPU.
+
+        `of_each` (B, N + 2) has the numbers of each image in place of linear functions, and height and width of its result.
+        """
+        x, draws, image_pass = images[0], self.of_batch.draws, self.of_batch.image_pass
         if self._plan is None:
             plan = [len(draws.plan), *draws.plan, len(draws.numbers), len(self.listed), *self.listed]
             plan += [1, 1] if image_pass.warps else [0]
@@ -189,7 +197,8 @@ class DrawnListPass:
                 look_at_range(x)
         own = draws.keys_of(keys), keys.seeds_on(x.device)
         try:
-            *results, _, columns, sizes = _draw_warp_and_color_to_list.kernel(images, *own, self.linear, *self._plan)
+            call = _draw_warp_and_color_to_list.kernel
+            *results, _, columns, sizes = call(images, *own, self.linear, of_each, *self._plan)
         except RuntimeError:
             check_list("lists", "images", images)  # which says more
             raise

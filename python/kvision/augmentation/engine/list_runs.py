@@ -260,12 +260,14 @@ def _make_plan(
     if draws is not None and (_count_draws(draws) > MAX_DRAWS or len(draws.numbers) > MAX_NUMBERS):
         return None
     drawn = sized_draws = None
-    if draws is not None and not isinstance(numbers, NumbersOfEach):
-        linear = torch.empty(3, 0, dtype=torch.float64, device="cpu") if numbers is None else numbers.linear()
-        sized_draws = SizedDraws(draws, listed, linear)
+    if draws is not None:
+        linear = torch.empty(3, 0, dtype=torch.float64, device="cpu")
+        if isinstance(numbers, SizedNumbers):
+            linear = numbers.linear()
+        if not isinstance(numbers, NumbersOfEach):
+            sized_draws = SizedDraws(draws, listed, linear)
         first = run.steps[0] if run.steps else None
-        is_drawn_first = context.owners is None and not run.derives and not sized.sizing
-        has_list_first = is_drawn_first and (steps > 1 or not has_one_size)
+        has_list_first = context.owners is None and not run.derives and (steps > 1 or not has_one_size)
         if isinstance(first, Joined) and has_list_first:
             drawn = DrawnListPass(draws, listed, linear, first.image_pass, like.shape, like.dtype)
     return _ListPlan(run, steps, sized, draws, listed, numbers, drawn, sized_draws)
@@ -585,7 +587,8 @@ def _execute(
     if plan.draws is not None:
         keys = context.keys(run.drawing, like) if run.drawing else Keys(torch.zeros(1, dtype=torch.int64, device="cpu"))
         context.check_seeds(keys, len(images))
-        drawn = None if plan.drawn is None else plan.drawn.run(images, keys)
+        if plan.drawn is not None and plan.drawn.serves(images):
+            drawn = plan.drawn.run(images, keys, _of_each(plan, images))
     x: Any = images
     sides: Any
     if drawn is not None:
@@ -614,6 +617,18 @@ def _execute(
     done = 0 if drawn is None else 1
     x = run_list_steps(x, run.steps[done:], running, plan.steps - done, plan.sized)
     return x, columns, keys, sides
+
+
+def _of_each(plan: _ListPlan, images: Sequence[Tensor]) -> Tensor | None:
+    """The numbers of each image, and height and width of its result of the first step; None where linear functions say all."""
+    first: Any = plan.run.steps[0]
+    changes = any(number in plan.sized.sizing for number in first.geometric)
+    if not changes and not isinstance(plan.numbers, NumbersOfEach):
+        return None
+    sides = sides_of(images)
+    after = plan.sized.sizes_after(first.geometric, images) if changes else sides
+    sizes = torch.tensor(after, dtype=torch.float64, device="cpu").view(-1, 2)
+    return sizes if plan.numbers is None else torch.cat([plan.numbers.of_each(sides), sizes], 1)
 
 
 def _sizes_before(sized: Sized, images: Sequence[Tensor], number: int) -> Tensor:

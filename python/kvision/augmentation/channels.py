@@ -59,9 +59,9 @@ class _ScaledChannels(_Channels, keeps_contract=True):
 
     clips: ClassVar[bool]  # the results to [0, 1]
 
-    def factors_and_offsets(self, like: Tensor, params: Params) -> tuple[Tensor, Tensor]:
+    def _factors_and_offsets(self, like: Tensor, params: Params) -> tuple[Tensor, Tensor]:
         """Numbers (B, C) of the channels of images like a batch."""
-        raise NotImplementedError(f"{type(self).__name__}.factors_and_offsets")
+        raise NotImplementedError(f"{type(self).__name__}._factors_and_offsets")
 
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
@@ -75,7 +75,7 @@ class _ScaledChannels(_Channels, keeps_contract=True):
         raise NotImplementedError(f"{type(self).__name__}._by_torch")
 
     def _program(self, like: Tensor, params: Params, chosen: Tensor | None) -> tuple[Pass, Tensor]:
-        columns = [*self.factors_and_offsets(like, params)]
+        columns = [*self._factors_and_offsets(like, params)]
         if chosen is not None:  # samples that are not have an order without steps
             columns.append(chosen[:, None].to(columns[0]) - 1)
         step = ColorStep("scale_shift_rgb", *map(Column, range(6)), float(self.clips))
@@ -171,7 +171,7 @@ class RandomChannelDropout(_ScaledChannels, keeps_contract=True):
         self.fill_value = _check.fraction("RandomChannelDropout", "fill_value", fill_value)
         self._param_generator = ChannelDropoutGenerator(num_drop_channels)
 
-    def factors_and_offsets(self, like: Tensor, params: Params) -> tuple[Tensor, Tensor]:
+    def _factors_and_offsets(self, like: Tensor, params: Params) -> tuple[Tensor, Tensor]:
         kept = torch.ones(like.shape[:2], dtype=compute_dtype(like), device=like.device)
         kept = kept.scatter(1, params["channel_idx"], 0.0)
         is_bytes = like.dtype == torch.uint8
@@ -243,7 +243,7 @@ class RandomPlanckianJitter(_ScaledChannels, keeps_contract=True):
         self._gains = tuple((red, 1.0, blue) for red, blue in (table[row] for row in rows))
         self._param_generator = PlanckianJitterGenerator((0, len(rows)))
 
-    def factors_and_offsets(self, like: Tensor, params: Params) -> tuple[Tensor, Tensor]:
+    def _factors_and_offsets(self, like: Tensor, params: Params) -> tuple[Tensor, Tensor]:
         gains = constant(self._gains, like, compute_dtype(like))[params["idx"]]
         return gains, torch.zeros_like(gains)
 

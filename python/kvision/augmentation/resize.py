@@ -257,16 +257,13 @@ class RandomScale(GeometricAugmentationBase2D):
     def _matrix_of(self, x: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
         dtype = compute_dtype(x) if execution.identity is None else execution.identity[1]
         sizes = [*execution.shape[-2:], *self._size_of(execution, flags)]
-        return self._matrices(torch.tensor([sizes], dtype=dtype, device="cpu").to(x.device), flags).expand(
-            execution.shape[0], 3, 3
-        )
+        no_columns = torch.empty(execution.shape[0], 0, dtype=dtype, device=x.device)
+        return transform_matrix(no_columns, self._chain(flags, *map(float, sizes)))
 
     @staticmethod
-    def _matrices(sizes: Tensor, flags: dict[str, Any]) -> Tensor:
-        """The matrices (B, 3, 3) of heights and widths of images and of results, (B, 4)."""
-        h, w, to_h, to_w = map(Column, range(4))
-        corners = float(flags["align_corners"] is not False)
-        return transform_matrix(sizes, [Transform("crop", 0.0, 0.0, w, h, to_w, to_h, corners)])
+    def _chain(flags: dict[str, Any], h: Any, w: Any, to_h: Any, to_w: Any) -> list[Transform]:
+        """From images to results of these heights and widths."""
+        return [Transform("crop", 0.0, 0.0, w, h, to_w, to_h, float(flags["align_corners"] is not False))]
 
     def _operates_on(self, dtype: torch.dtype) -> bool:
         return not self._is_customized()
@@ -280,7 +277,8 @@ class RandomScale(GeometricAugmentationBase2D):
             return _antialiased_list(images, of_all, self.flags, is_list=True)
         like = like_batch(images)
         sides = torch.tensor([[*x.shape[-2:], *size] for x, size in zip(images, sizes)], device="cpu")
-        matrices = self._matrices(sides.to(like.device, compute_dtype(like), non_blocking=True), self.flags)
+        sides = sides.to(like.device, compute_dtype(like), non_blocking=True)
+        matrices = transform_matrix(sides, self._chain(self.flags, *map(Column, range(4))))
         return list(warp_each(list(images), matrices, of_all, self.resampling(self.flags)))
 
     def _run(self, x: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:

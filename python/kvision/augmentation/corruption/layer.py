@@ -56,6 +56,8 @@ register_filter("add_layer_list", add_layer, _of_sample)
 
 def layered(layer: Tensor, *factors: Tensor | float, windows: Tensor | None = None) -> Operation:
     """Images behind a layer, by the factors a, b, c and d: numbers, or (B or 1, C or 1), of the type that is computed in."""
+    if not any(isinstance(f, Tensor) for f in factors):
+        return Operation(add_layer, (layer, windows, constant(((factors,),), layer)))
     each = [f.to(layer) if isinstance(f, Tensor) else constant(((f,),), layer) for f in factors]
     return Operation(add_layer, (layer, windows, torch.stack(torch.broadcast_tensors(*each), -1)))
 

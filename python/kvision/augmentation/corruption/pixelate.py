@@ -51,15 +51,16 @@ def _weights(size: int, count: Tensor, value: int) -> Tensor:
 
 
 def _supports(images: Tensor, *_: object) -> str | None:
+    """Positions fit 32 bits, and on CUDA a row fits shared memory."""
     return _serves(tuple(images.shape), images)
 
 
 def _supports_list(images: Sequence[Tensor], *_: object) -> str | None:
+    """Positions fit 32 bits, and on CUDA a row fits shared memory."""
     return _serves(largest_shape(images), images[0])
 
 
 def _serves(shape: tuple[int, ...], like: Tensor) -> str | None:
-    """Positions fit 32 bits, and on CUDA a row fits shared memory."""
     height, width = shape[-2:]
     row_size = width * (1 if like.is_contiguous() else shape[1])
     if max(height, width) > MAX_PIXELATE_SIDE or (like.is_cuda and row_size > MAX_PIXELATE_ROW):

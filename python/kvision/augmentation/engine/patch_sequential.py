@@ -234,8 +234,9 @@ class PatchSequential(ImageSequential):
         return executed
 
     def _sequences_of_samples(self, context: CallContext, samples: int) -> Sequence[Sequence[int]]:
-        """The numbers of the children of each sample of each cell, of which there are so many together."""
+        """The numbers of the children of each sample of each cell, of which there are so many together, or one."""
         count = self.grid_size[0] * self.grid_size[1]
+        samples = max(samples, count)
         if not self.patchwise_apply:
             return [*super()._sequences_of_samples(context, samples // count)] * count
         sequences: list[Sequence[int]] = []

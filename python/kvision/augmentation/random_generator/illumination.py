@@ -8,6 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from kvision._torch_compat import linspace
 from kvision.augmentation import ranges
 from kvision.augmentation.draws import integer
 from kvision.augmentation.lists.sides import Side
@@ -172,11 +173,12 @@ def _ramp(side: Side, light: Tensor, is_reversed: Tensor) -> Tensor:
     """From 0 to light (B,) along an axis, or back where `is_reversed` (B,) is 1: (B, size); 0 along one pixel."""
     if side.longest == 1:
         return torch.zeros_like(light)[:, None]
+    if not isinstance(side.size, Tensor):
+        return light[:, None] * (is_reversed[:, None] - linspace(0, 1, side.size, light)).abs()
     at, most = side.positions(light), side.size - 1
-    step = 1 / (most.clamp(min=1) if isinstance(most, Tensor) else most)
-    ramp = torch.where(2 * at < most, step * at, 1 - step * (most - at))  # to 1 exactly
-    lit = light[:, None] * (is_reversed[:, None] - ramp).abs()
-    return torch.where(most > 0, lit, 0.0) if isinstance(most, Tensor) else lit
+    step = 1 / most.clamp(min=1)
+    ramp = torch.where(2 * at < most, step * at, 1 - step * (most - at))  # as linspace counts, to 1 exactly
+    return torch.where(most > 0, light[:, None] * (is_reversed[:, None] - ramp).abs(), 0.0)
 
 
 def _bump(center: Tensor, sigma: Tensor, side: Side) -> Tensor:

@@ -258,10 +258,10 @@ class RandomScale(GeometricAugmentationBase2D):
         dtype = compute_dtype(x) if execution.identity is None else execution.identity[1]
         sizes = [*execution.shape[-2:], *self._size_of(execution, flags)]
         no_columns = torch.empty(execution.shape[0], 0, dtype=dtype, device=x.device)
-        return transform_matrix(no_columns, self._chain(flags, *map(float, sizes)))
+        return transform_matrix(no_columns, self._resizing(flags, *map(float, sizes)))
 
     @staticmethod
-    def _chain(flags: dict[str, Any], h: Any, w: Any, to_h: Any, to_w: Any) -> list[Transform]:
+    def _resizing(flags: dict[str, Any], h: Any, w: Any, to_h: Any, to_w: Any) -> list[Transform]:
         """From images to results of these heights and widths."""
         return [Transform("crop", 0.0, 0.0, w, h, to_w, to_h, float(flags["align_corners"] is not False))]
 
@@ -278,7 +278,7 @@ class RandomScale(GeometricAugmentationBase2D):
         like = like_batch(images)
         sides = torch.tensor([[*x.shape[-2:], *size] for x, size in zip(images, sizes)], device="cpu")
         sides = sides.to(like.device, compute_dtype(like), non_blocking=True)
-        matrices = transform_matrix(sides, self._chain(self.flags, *map(Column, range(4))))
+        matrices = transform_matrix(sides, self._resizing(self.flags, *map(Column, range(4))))
         return list(warp_each(list(images), matrices, of_all, self.resampling(self.flags)))
 
     def _run(self, x: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:

@@ -45,8 +45,6 @@ def test_each_image_gets_what_it_gets_alone(name, dtype, device):
     is_byte = dtype == torch.uint8
     if dtype == torch.float64 and name in NOISES:
         pytest.skip("float64 has the noise of float32 images, a call for each size")
-    if is_byte and name in ("codec", "stretched"):
-        pytest.skip("bytes are computed as floats, a call for each size")
     images = pictures(device, SMALL if name in ("lens", "rain") else [*SMALL, (1, 9), (7, 1)], dtype)
     seeds = seeds_of(images)
     for given in (images, [x.permute(1, 2, 0).contiguous().permute(2, 0, 1) for x in images]):

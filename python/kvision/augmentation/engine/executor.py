@@ -25,6 +25,7 @@ from kvision.augmentation.engine.execution import (
     replaying,
 )
 from kvision.augmentation.keys import Keys, Seed, check_seeds, draw_keys
+from kvision.augmentation.lists.conversions import bytes_of_float_images, floats_of_byte_images
 from kvision.augmentation.noise import PixelNoise
 from kvision.augmentation.samples import where_chosen
 from kvision.augmentation.warp_and_color import SAME, Output, Pass, make_pass
@@ -380,11 +381,12 @@ class Executor(Declaration):
                 )
             )
             and self._result_dtype(dtype) == dtype
-            and (self.accepts_bytes or dtype != torch.uint8)
         )
 
     def _run_list(self, images: Sequence[Tensor], execution: Execution) -> list[Tensor]:
         """Execute on a list of images (C, H, W) of a type that it operates on."""
+        if images[0].dtype == torch.uint8 and not self.accepts_bytes:
+            return bytes_of_float_images(self._run_list(floats_of_byte_images(images), execution))
         like = smallest_batch(images) if self.filters_chosen else like_batch(images)
         columns = None if execution.is_certain else execution.columns
         chosen = None if columns is None or columns.chosen is None else columns.chosen.float()

@@ -27,6 +27,12 @@ BY_SIZE = {
     "drops and stains in a layer of each size": {"Spatter"},
     "objects of the masks of a call": {"MaskDropout"},
 }
+# The same of the names of CommonCorruption.
+CORRUPTIONS_BY_SIZE = {
+    "a blur whose window grows with the image": {"elastic_transform"},
+    "the mean of each channel": {"contrast"},
+    "drops, stains and flakes in a layer of each size": {"snow", "spatter"},
+}
 
 
 class Calls(TorchDispatchMode):
@@ -46,13 +52,32 @@ def calls(augment, images, **options):
     return counted.count
 
 
+def grows(augment, images):
+    """Whether more images take more calls."""
+    calls(augment, images[:3], seed=0)  # which makes constants
+    return calls(augment, images, seed=0) > calls(augment, images[:3], seed=0)
+
+
+DTYPES = pytest.mark.parametrize("dtype", [torch.float32, torch.uint8], ids=str)
+
+
+@DTYPES
 @pytest.mark.parametrize("case", IMAGES, ids=lambda case: case.name)
-def test_calls_do_not_depend_on_the_number_of_images(case, backend):
+def test_calls_do_not_depend_on_the_number_of_images(case, dtype, backend):
     if backend == "reference":
         pytest.skip("this test is about the kernels")
-    augment, images = case.make(p=1.0), pictures("cpu", SIZES)
-    grows = calls(augment, images, seed=0) > calls(augment, images[:3], seed=0)
-    assert grows == any(case.name in names for names in BY_SIZE.values())
+    is_by_size = any(case.name in names for names in BY_SIZE.values())
+    assert grows(case.make(p=1.0), pictures("cpu", SIZES, dtype)) == is_by_size
+
+
+@DTYPES
+@pytest.mark.parametrize("name", A.CommonCorruption.NAMES)
+def test_calls_of_corruptions(name, dtype, backend):
+    if backend == "reference":
+        pytest.skip("this test is about the kernels")
+    augment = A.CommonCorruption(name, 1, torch.rand(3, 40, 40) if name == "frost" else None)
+    is_by_size = any(name in names for names in CORRUPTIONS_BY_SIZE.values())
+    assert grows(augment, pictures("cpu", SIZES, dtype)) == is_by_size
 
 
 CONTAINERS = {
@@ -84,7 +109,7 @@ REPLAYS = {
 }
 
 
-@pytest.mark.parametrize("dtype", [torch.float32, torch.uint8], ids=str)
+@DTYPES
 @pytest.mark.parametrize("name", REPLAYS)
 def test_calls_with_given_parameters(name, dtype, backend):
     """They give the bits of the call, without one for each image."""

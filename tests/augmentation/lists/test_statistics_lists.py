@@ -32,8 +32,13 @@ MAKE = {
     "smooth": lambda **o: A.CommonCorruption("gaussian_blur", 1, **o),
     "pixelate": lambda **o: A.CommonCorruption("pixelate", 3, **o),
     "common frost": lambda **o: A.CommonCorruption("frost", 3, FROST, **o),
+    "common fog": lambda **o: A.CommonCorruption("fog", 3, **o),
+    "common codec": lambda **o: A.CommonCorruption("jpeg_compression", 3, **o),
+    "glass": lambda **o: A.CommonCorruption("glass_blur", 3, **o),
+    "motion": lambda **o: A.CommonCorruption("motion_blur", 1, **o),
+    "zoom": lambda **o: A.CommonCorruption("zoom_blur", 3, **o),
 }
-NOISES = ("photons", "impulses", "normal factors")
+NOISES = ("photons", "impulses", "normal factors", "glass")
 DTYPES = [torch.uint8, torch.float16, torch.bfloat16, torch.float32, torch.float64]
 
 

@@ -14,36 +14,34 @@ from kvision._clamp import clamp
 from kvision._dtype import compute_dtype
 from kvision.augmentation import ranges
 from kvision.augmentation.corruption.disk import disk_kernels
-from kvision.augmentation.corruption.glass import MAX_DELTA, Moves, glass, glass_operations
+from kvision.augmentation.corruption.glass import MAX_DELTA, Moves, glass
 from kvision.augmentation.corruption.moved import sum_of_moved
 from kvision.augmentation.engine import Execution, Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
 from kvision.augmentation.lists import filter_lists
+from kvision.augmentation.lists.sides import sides_of
 from kvision.augmentation.random_generator.mapped import MappedGenerator
 from kvision.augmentation.ranges import Numbers
 from kvision.core.exceptions import ValueCheckError
 from kvision.filters.filter2d import filter2d, filter_arguments
-from kvision.geometry.transform.lists.arguments import like_batch, smallest_batch
-from kvision.geometry.transform.lists.arguments import sizes as sides_of
-from kvision.geometry.transform.lists.kept_sizes import Operation
+from kvision.geometry.transform.lists.arguments import smallest_batch
+from kvision.geometry.transform.lists.kept_sizes import Operation, Operations
 
 
-def mean_of_enlargements(x: Tensor, largest: Tensor, step: Tensor, most: int) -> Tensor:
-    """The mean of images, once more of themselves, and of enlargements by 1 + k step below `largest`, for k up to `most`."""
-    height, width = x.shape[-2:]
-    y: Tensor = sum_of_moved(x, enlargements(height, width, largest, step, most))
-    return y
+def mean_of_enlargements(sides: Sequence[Any], largest: Tensor, step: Tensor, most: int) -> Operation:
+    """The mean of images, once more of themselves, and of enlargements by 1 + k step below `largest`, for k up to `most`.
 
-
-def enlargements(height: Any, width: Any, largest: Tensor, step: Tensor, most: int) -> Tensor:
-    """The moves (B, K, 4) of these, for a height and a width of all images or (B, 1)."""
+    The sides are height and width of all images, or (B, 1) of each.
+    """
+    height, width = sides
     k = torch.arange(max(most, 1), device=step.device, dtype=step.dtype)
     factors = 1 + k * step[:, None]
     counts = torch.where(k == 0, 2.0, (factors < largest[:, None]).to(step))
     shrink = 1 / factors
     moved = 1 - shrink
     weights = counts / counts.sum(1, keepdim=True)
-    return torch.stack([shrink, moved * ((width - 1) / 2), moved * ((height - 1) / 2), weights], 2)
+    moves = torch.stack([shrink, moved * ((width - 1) / 2), moved * ((height - 1) / 2), weights], 2)
+    return Operation(sum_of_moved, (moves,))
 
 
 class Defocus(IntensityAugmentationBase2D, keeps_contract=True):
@@ -201,23 +199,16 @@ class ZoomBlur(IntensityAugmentationBase2D, keeps_contract=True):
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
-        return mean_of_enlargements(input, *self._factors(input, params), self._most)
+        return self._operation(input, params)(input)
 
     keeps_unchosen = True  # of which the largest factor is 1
 
-    def _factors(self, like: Tensor, params: Params) -> tuple[Tensor, Tensor]:
+    def _operation(self, like: Tensor, params: Params, images: Sequence[Tensor] | None = None) -> Operation:
         largest, step = (params[name].to(like.device, compute_dtype(like)) for name in ("max_factor", "step_factor"))
-        return largest, step
+        return mean_of_enlargements(sides_of(like, images), largest, step, self._most)
 
-    def _operates_on(self, dtype: torch.dtype) -> bool:
-        return not self._is_customized() and (dtype.is_floating_point or dtype == torch.uint8)
-
-    def _run_list(self, images: Sequence[Tensor], execution: Execution) -> list[Tensor]:
-        like = like_batch(images)
-        factors = self._factors(like, self._params_on_device(like, execution, for_users=False))
-        sides = torch.tensor(sides_of(images), device="cpu").view(-1, 2).to(factors[0], non_blocking=True)
-        moves = enlargements(sides[:, :1], sides[:, 1:], *factors, self._most)
-        return Operation(sum_of_moved, (moves,)).on_list(images)
+    def _operation_on_list(self, images: Sequence[Tensor], like: Tensor, execution: Execution) -> Operation:
+        return self._operation(like, self._params_on_device(like, execution, for_users=False), images)
 
 
 class GlassBlur(IntensityAugmentationBase2D, keeps_contract=True):
@@ -262,16 +253,14 @@ class GlassBlur(IntensityAugmentationBase2D, keeps_contract=True):
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
+        return self._operation(input, params)(input)
+
+    def _operation(self, like: Tensor, params: Params) -> Operations:
         noise = params["_noise"][1] if "_noise" in params else params["offsets"]
-        return glass(input, noise, self.sigma, self.max_delta, self.iterations)
+        return glass(like, noise, self.sigma, self.max_delta, self.iterations)
+
+    def _operation_on_list(self, images: Sequence[Tensor], like: Tensor, execution: Execution) -> Operations:
+        return self._operation(smallest_batch(images), self._params_on_device(like, execution, for_users=False))
 
     def _operates_on(self, dtype: torch.dtype) -> bool:
-        is_drawn = dtype in (torch.uint8, torch.float16, torch.bfloat16, torch.float32)
-        return is_drawn and self.max_delta <= MAX_DELTA and not self._is_customized()
-
-    def _run_list(self, images: Sequence[Tensor], execution: Execution) -> list[Tensor]:
-        like = smallest_batch(images)
-        _, noise = self._params_on_device(like, execution, for_users=False)["_noise"]
-        chosen = None if noise.chosen is None else noise.chosen.float()
-        blur, read = glass_operations(like, noise, self.sigma, self.max_delta, self.iterations)
-        return blur.on_list(read.on_list(blur.on_list(images, chosen), chosen), chosen)
+        return self.max_delta <= MAX_DELTA and super()._operates_on(dtype)

@@ -26,8 +26,8 @@ from kvision.augmentation.corruption.snow import add_snow
 from kvision.augmentation.corruption.weather import WINDOW, as_textures, fogged, frosted, spattered
 from kvision.augmentation.engine import Execution, Params, Shape
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
-from kvision.augmentation.lists import filter_lists
-from kvision.augmentation.lists.sides import sizes_of_list
+from kvision.augmentation.lists import filter_lists, statistics_lists
+from kvision.augmentation.lists.sides import sides_of, sizes_of_list
 from kvision.augmentation.noise import (
     BY_CHANNEL,
     CLAMP,
@@ -41,13 +41,13 @@ from kvision.augmentation.random_generator.base import RandomGeneratorBase
 from kvision.augmentation.random_generator.mapped import Map, MappedGenerator, NoiseMap
 from kvision.augmentation.random_generator.plasma import PlasmaGenerator
 from kvision.augmentation.warp_and_color import ColorStep, Resampling
-from kvision.color.scale_shift import bytes_of_floats, floats_of_bytes
 from kvision.core.exceptions import ValueCheckError
+from kvision.enhance.batch import colors
 from kvision.enhance.contrast import adjust_contrast_with_mean_subtraction
-from kvision.enhance.jpeg import jpeg_codec_differentiable
 from kvision.filters.filter2d import filter_arguments
 from kvision.filters.smoothing.gaussian import blur_arguments, gaussian_blur2d
-from kvision.geometry.transform.lists.kept_sizes import Operation
+from kvision.geometry.transform.lists.arguments import sizes
+from kvision.geometry.transform.lists.kept_sizes import Operation, Operations
 
 Images: TypeAlias = Sequence[Tensor] | None
 
@@ -133,10 +133,10 @@ def _gaussian_blur(like: Tensor, drawn: Params, images: Images, sigma: float) ->
 
 
 def _glass_blur(x: Tensor, drawn: Params, sigma: float, max_delta: int, iterations: int) -> Tensor:
-    return glass(x, drawn["noise"], sigma, max_delta, iterations, "replicate")
+    return glass(x, drawn["noise"], sigma, max_delta, iterations, "replicate")(x)
 
 
-def _frosted_glass(x: Tensor, noise: PixelNoise, sigma: float, max_delta: int, iterations: int) -> Tensor:
+def _frosted_glass(x: Tensor, noise: PixelNoise, sigma: float, max_delta: int, iterations: int) -> Operations:
     return glass(x, noise, sigma, max_delta, iterations, "replicate")
 
 
@@ -153,17 +153,17 @@ def _defocus_blur(like: Tensor, drawn: Params, images: Images, radius: int, alia
     return Operation(filter_lists.filter2d, filter_arguments("filter2d", like, disk)[1:])
 
 
-def _motion_blur(x: Tensor, drawn: Params, radius: int, sigma: float) -> Tensor:
+def _motion_blur(like: Tensor, drawn: Params, images: Images, radius: int, sigma: float) -> Operation:
     """Means along a line that begins at the pixel, with the weights of half a Gaussian; borders are replicated."""
-    (height, width), own = x.shape[-2:], drawn["angle"].dtype
+    own = drawn["angle"].dtype
     angle = drawn["angle"][:, None] * (math.pi / 180)
-    steps = constant(tuple((float(i), float(i)) for i in range(2 * radius + 1)), x, own)
-    weights = constant(_half_of_a_gaussian(radius, sigma), x, own)[None, :, None]
-    moves = (steps * torch.stack([angle.cos(), angle.sin()], 2) - 0.5).ceil()  # to the right, and down
-    is_inside = (moves.abs() < constant((width, height), x, own)).all(2, keepdim=True)
-    scales = constant(((1.0,),), x, own)[None].expand(*moves.shape[:2], 1)
-    y: Tensor = sum_of_moved(x, torch.cat([scales, moves, is_inside * weights], 2))
-    return y
+    steps = constant(tuple((float(i), float(i)) for i in range(2 * radius + 1)), like, own)
+    weights = constant(_half_of_a_gaussian(radius, sigma), like, own)
+    right, down = (steps * torch.stack([angle.cos(), angle.sin()], 2) - 0.5).ceil().unbind(2)
+    height, width = sides_of(like, images)
+    is_inside = (right.abs() < width) & (down.abs() < height)
+    scales = constant(((1.0,),), like, own).expand_as(right)
+    return Operation(sum_of_moved, (torch.stack([scales, right, down, is_inside * weights], 2),))
 
 
 @functools.lru_cache
@@ -173,9 +173,9 @@ def _half_of_a_gaussian(radius: int, sigma: float) -> tuple[float, ...]:
     return tuple(weight / math.fsum(weights) for weight in weights)
 
 
-def _zoom_blur(x: Tensor, drawn: Params, count: int, step: float) -> Tensor:
-    steps = torch.full((len(x),), step, device=x.device, dtype=compute_dtype(x))
-    return mean_of_enlargements(x, torch.full_like(steps, torch.inf), steps, count)
+def _zoom_blur(like: Tensor, drawn: Params, images: Images, count: int, step: float) -> Operation:
+    steps = torch.full((len(like),), step, device=like.device, dtype=compute_dtype(like))
+    return mean_of_enlargements(sides_of(like, images), torch.full_like(steps, torch.inf), steps, count)
 
 
 def _snow(
@@ -198,8 +198,8 @@ def _snow(
     noise = drawn["noise"]
     matrix = constant((rows,), noise).expand(len(x), 3, 3)
     layer = maps.warp(torch.add(mean, noise, alpha=deviation), matrix, (height, width), _BORDER, inverse=False)
-    flakes = _motion_blur(clamp(torch.where(layer < threshold, 0, layer), 0, 1), drawn, radius, sigma)
-    y: Tensor = add_snow(x, flakes, weight)
+    flakes = clamp(torch.where(layer < threshold, 0, layer), 0, 1)
+    y: Tensor = add_snow(x, _motion_blur(flakes, drawn, None, radius, sigma)(flakes), weight)
     return y
 
 
@@ -207,9 +207,8 @@ def _frost(like: Tensor, drawn: Params, images: Images, of_image: float, of_fros
     return frosted(drawn["module"], drawn, like, of_image, of_frost, images)
 
 
-def _fog(x: Tensor, drawn: Params, amount: float, roughness: float) -> Tensor:
-    own = compute_dtype(x)
-    return fogged(x, drawn["plasma"].to(own), constant((amount,), x, own))(x)
+def _fog(like: Tensor, drawn: Params, images: Images, amount: float, roughness: float) -> Operation:
+    return fogged(like, drawn["plasma"], constant((amount,), like, compute_dtype(like)), images)
 
 
 def _contrast(x: Tensor, drawn: Params, factor: float) -> Tensor:
@@ -258,11 +257,9 @@ def _saturate(channels: int, factor: float, change: float) -> list[ColorStep]:
     return _hsv_steps((factor, 1.0), (change, 0.0)) if channels == 3 else [_CLAMPED]
 
 
-def _jpeg_compression(x: Tensor, drawn: Params, quality: float) -> Tensor:
-    """The operator clamps its results."""
-    if x.dtype == torch.uint8:
-        return bytes_of_floats(jpeg_codec_differentiable(floats_of_bytes(x), quality))
-    return jpeg_codec_differentiable(clamp(x, 0, 1), quality)
+def _jpeg_compression(like: Tensor, drawn: Params, images: Images, quality: float) -> Operation:
+    colors("CommonCorruption", "input", like)
+    return Operation(statistics_lists.jpeg, (None, None, None, float(quality)))
 
 
 def _spatter(
@@ -326,11 +323,22 @@ CORRUPTIONS: dict[CorruptionName, Corruption] = {
         ((0.7, 1, 2), (0.9, 2, 1), (1.0, 2, 3), (1.1, 3, 2), (1.5, 4, 2)),
         fused=_frosted_glass,
         takes_bytes=True,
+        is_operation=True,
     ),
     "motion_blur": Corruption(
-        _motion_blur, ((10, 3), (15, 5), (15, 8), (15, 12), (20, 15)), None, (-45.0, 45.0), takes_bytes=True
+        _motion_blur,
+        ((10, 3), (15, 5), (15, 8), (15, 12), (20, 15)),
+        None,
+        (-45.0, 45.0),
+        takes_bytes=True,
+        is_operation=True,
     ),
-    "zoom_blur": Corruption(_zoom_blur, ((12, 0.01), (16, 0.01), (11, 0.02), (13, 0.02), (11, 0.03)), takes_bytes=True),
+    "zoom_blur": Corruption(
+        _zoom_blur,
+        ((12, 0.01), (16, 0.01), (11, 0.02), (13, 0.02), (11, 0.03)),
+        takes_bytes=True,
+        is_operation=True,
+    ),
     "snow": Corruption(
         _snow,
         (
@@ -352,7 +360,10 @@ CORRUPTIONS: dict[CorruptionName, Corruption] = {
     ),
     # The noise of its fractal shrinks by the square of the published decay, 2, 2, 1.7, 1.5 or 1.4, from step to step.
     "fog": Corruption(
-        _fog, ((1.5, 2**-2), (2.0, 2**-2), (2.5, 1.7**-2), (2.5, 1.5**-2), (3.0, 1.4**-2)), takes_bytes=True
+        _fog,
+        ((1.5, 2**-2), (2.0, 2**-2), (2.5, 1.7**-2), (2.5, 1.5**-2), (3.0, 1.4**-2)),
+        takes_bytes=True,
+        is_operation=True,
     ),
     "brightness": Corruption(None, _each(0.1, 0.2, 0.3, 0.4, 0.5), steps=_brightness),
     "contrast": Corruption(_contrast, _each(0.4, 0.3, 0.2, 0.1, 0.05), takes_bytes=True),
@@ -363,7 +374,7 @@ CORRUPTIONS: dict[CorruptionName, Corruption] = {
         takes_bytes=True,
     ),
     "pixelate": Corruption(_pixelate, _each(0.6, 0.5, 0.4, 0.3, 0.25), takes_bytes=True, is_operation=True),
-    "jpeg_compression": Corruption(_jpeg_compression, _each(25, 18, 15, 10, 7), takes_bytes=True),
+    "jpeg_compression": Corruption(_jpeg_compression, _each(25, 18, 15, 10, 7), is_operation=True),
     "speckle_noise": Corruption(
         _speckle_noise, _each(0.15, 0.2, 0.35, 0.45, 0.6), fused=_normal_factors, is_operation=True
     ),
@@ -488,9 +499,9 @@ class CommonCorruption(IntensityAugmentationBase2D, keeps_contract=True):
                 drawn[name] = params[name].to(like.device, compute_dtype(like))
         return drawn
 
-    def _operation(self, like: Tensor, params: Params, images: Images = None) -> Operation:
+    def _operation(self, like: Tensor, params: Params, images: Images = None) -> Operation | Operations:
         corruption, numbers = self._corruption
-        operation: Operation
+        operation: Operation | Operations
         if corruption.fused is not None:
             operation = corruption.fused(like, params["_noise"][1], *numbers)
         else:
@@ -498,8 +509,18 @@ class CommonCorruption(IntensityAugmentationBase2D, keeps_contract=True):
             operation = corruption.apply(like, self._drawn(params, like), images, *numbers)
         return operation
 
-    def _operation_on_list(self, images: Sequence[Tensor], like: Tensor, execution: Execution) -> Operation:
-        return self._operation(like, self._params_on_device(like, execution, for_users=False), images)
+    def _operation_on_list(
+        self, images: Sequence[Tensor], like: Tensor, execution: Execution
+    ) -> Operation | Operations:
+        generator = self._param_generator
+        assert generator is not None
+        if self.fuses_noise or not generator.per_pixel:
+            params = self._params_on_device(like, execution, for_users=False)
+        else:  # maps as large as the largest image
+            assert execution.columns is not None
+            values, noise = execution.columns.values, self._pixel_noise(execution, execution.redraw, like.device)
+            params = generator.pixel_params(values, (*like.shape[:2], *sizes(images)), noise)
+        return self._operation(like, params, images)
 
     def _operates_on(self, dtype: torch.dtype) -> bool:
         return self._corruption[0].is_operation and super()._operates_on(dtype)

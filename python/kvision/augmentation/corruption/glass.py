@@ -15,10 +15,9 @@ from kvision.augmentation.keys import flatten_draws
 from kvision.augmentation.lists import filter_lists
 from kvision.augmentation.noise import NO_KEY, PixelNoise, words_of_pixels
 from kvision.augmentation.random_generator.base import Shape
-from kvision.augmentation.samples import where_chosen
-from kvision.filters.smoothing.gaussian import blur_arguments, gaussian_blur2d
+from kvision.filters.smoothing.gaussian import blur_arguments
 from kvision.geometry.transform.lists.arguments import row
-from kvision.geometry.transform.lists.kept_sizes import Operation, register_filter
+from kvision.geometry.transform.lists.kept_sizes import Operation, Operations, register_filter
 
 MAX_DELTA = 2**15  # of kernels
 
@@ -104,34 +103,24 @@ class Moves(NamedTuple):
 
 
 def glass(
-    x: Tensor, noise: PixelNoise | Tensor, sigma: float, max_delta: int, steps: int, border: Border = "reflect"
-) -> Tensor:
-    """Between two blurs, pixels read neighbors, by a source of noise or a uniform map."""
-    blur = ((2 * reach_of(sigma) + 1,) * 2, (sigma, sigma), border)
-    smooth = gaussian_blur2d(x, *blur)
+    like: Tensor, noise: PixelNoise | Tensor, sigma: float, max_delta: int, steps: int, border: Border = "reflect"
+) -> Operations:
+    """Between two blurs, pixels read neighbors, by a source of noise or a uniform map.
+
+    `like` is a batch of images, or as small as any of a list.
+    """
+    size = (2 * reach_of(sigma) + 1,) * 2
+    blur = Operation(filter_lists.gaussian_blur2d, blur_arguments("GlassBlur", like, size, (sigma, sigma), border)[1:])
+    chosen: Tensor | None = None
+    read: tuple[Any, ...]
     if isinstance(noise, Tensor):
-        read = read_neighbors(smooth, NO_KEY, None, noise.to(x.device, torch.float32), (0, 0, 1, 0), max_delta, steps)
+        read = (NO_KEY, None, noise.to(like.device, torch.float32), (0, 0, 1, 0))
     else:
         keys, seeds, chosen, plan = noise.arguments()
-        read = read_neighbors(smooth, keys, seeds, None, plan, max_delta, steps)
-        if chosen is not None:
-            return where_chosen(chosen != 0, gaussian_blur2d(read, *blur), x)
-    y: Tensor = gaussian_blur2d(read, *blur)
-    return y
+        read = (keys, seeds, None, plan)
+    return Operations((blur, Operation(read_neighbors, (*read, max_delta, steps)), blur), chosen)
 
 
 def reach_of(sigma: float) -> int:
     """Taps of a Gaussian to each side, up to four standard deviations."""
     return int(4 * sigma + 0.5)
-
-
-def glass_operations(
-    like: Tensor, noise: PixelNoise, sigma: float, max_delta: int, steps: int
-) -> tuple[Operation, Operation]:
-    """The blur of images of a list, of which `like` is as small as any, before and after pixels read neighbors, and that."""
-    size, sigmas = (2 * reach_of(sigma) + 1,) * 2, (sigma, sigma)
-    keys, seeds, _, plan = noise.arguments()
-    return (
-        Operation(filter_lists.gaussian_blur2d, blur_arguments("GlassBlur", like, size, sigmas, "reflect")[1:]),
-        Operation(read_neighbors, (keys, seeds, None, plan, max_delta, steps)),
-    )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from kvision._constants import constant
 from kvision._ops import register
 from kvision.geometry.transform.lists.arguments import row
 from kvision.geometry.transform.lists.kept_sizes import register_list
@@ -44,4 +45,12 @@ def _read(images: Tensor, axis: int, scale: Tensor, shift: Tensor) -> Tensor:
 
 
 sum_of_moved = register("sum_of_moved", _reference, bytes=True)
-register_list("sum_of_moved_list", sum_of_moved, lambda b, moves: (row(moves, b),))
+
+
+def _kept(chosen: Tensor, moves: Tensor) -> tuple[Tensor]:
+    """The moves of those that are chosen; the others are the sum of one copy that is not moved."""
+    still = tuple((1.0, 0.0, 0.0, float(k == 0)) for k in range(moves.shape[1]))
+    return (torch.where(chosen[:, None, None] != 0, moves, constant(still, moves)),)
+
+
+register_list("sum_of_moved_list", sum_of_moved, lambda b, moves: (row(moves, b),), kept=_kept)

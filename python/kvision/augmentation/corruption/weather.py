@@ -35,18 +35,24 @@ SpatterMode: TypeAlias = Literal["rain", "mud"]
 _COLORS = {"rain": (175 / 255, 238 / 255, 238 / 255), "mud": (63 / 255, 42 / 255, 20 / 255)}
 
 
-def fogged(x: Tensor, plasma: Tensor, amount: Tensor) -> Operation:
-    """What puts images under clouds (B, 1, H, W), stretched to [0, 1], of amounts (B,); the brightest value stays as it is."""
-    low, high = torch.aminmax(plasma.flatten(1), dim=1)
-    return fogging(x, x.amax((1, 2, 3)), plasma, low, high, amount)
+def fogged(x: Tensor, plasma: Tensor, amount: Tensor, images: Sequence[Tensor] | None = None) -> Operation:
+    """What puts images under clouds (B, 1, H, W), stretched to [0, 1], of amounts (B,); the brightest value stays as it is.
 
-
-def fogging(like: Tensor, brightest: Tensor, plasma: Tensor, low: Tensor, high: Tensor, amount: Tensor) -> Operation:
-    """The same for images of a type, by their largest values (B,) and the lowest and highest of the clouds."""
-    brightest = clamp(brightest, 0, 255 if like.dtype == torch.uint8 else 1)
-    if like.dtype == torch.uint8:
-        brightest = brightest.to(amount.dtype) / 255
-    darker = brightest.to(amount.dtype) / (brightest + amount).clamp(min=1e-12)
+    Those of a list are like a batch `x`, and the clouds as large as the largest of them.
+    """
+    if images is None:
+        most = x.amax((1, 2, 3))
+        low, high = torch.aminmax(plasma.flatten(1), dim=1)
+    else:
+        most = brightest(images)
+        down, right = sides_of_list(images)
+        beyond = ~(down.inside(plasma)[:, None, :, None] & right.inside(plasma)[:, None, None])
+        low = plasma.masked_fill(beyond, torch.inf).amin((1, 2, 3))
+        high = plasma.masked_fill(beyond, -torch.inf).amax((1, 2, 3))
+    most = clamp(most, 0, 255 if x.dtype == torch.uint8 else 1)
+    if x.dtype == torch.uint8:
+        most = most.to(amount.dtype) / 255
+    darker = most.to(amount.dtype) / (most + amount).clamp(min=1e-12)
     clouds = darker * amount / (high - low).clamp(min=1e-12)
     return layered(plasma, darker[:, None], 0.0, clouds[:, None], (-low * clouds)[:, None])
 
@@ -96,12 +102,7 @@ class RandomFog(LayerAugmentation, keeps_contract=True):
         assert execution.columns is not None
         values, noise = execution.columns.values, self._pixel_noise(execution, execution.redraw, like.device)
         plasma = self._param_generator.plasma(values, like.shape[1], sizes(images), noise).to(compute_dtype(like))
-        down, right = sides_of_list(images)
-        beyond = ~(down.inside(plasma)[:, None, :, None] & right.inside(plasma)[:, None, None])
-        low = plasma.masked_fill(beyond, torch.inf).amin((1, 2, 3))
-        high = plasma.masked_fill(beyond, -torch.inf).amax((1, 2, 3))
-        amount = self._named(values, execution)["intensity"].to(plasma)
-        return fogging(like, brightest(images), plasma, low, high, amount)
+        return fogged(like, plasma, self._named(values, execution)["intensity"].to(plasma), images)
 
 
 def as_textures(op: str, texture: Any) -> Tensor:

@@ -31,7 +31,7 @@ from kvision.augmentation.samples import where_chosen
 from kvision.augmentation.warp_and_color import SAME, Output, Pass, make_pass
 from kvision.color.scale_shift import bytes_of_floats, floats_of_bytes
 from kvision.geometry.transform.lists.arguments import like_batch, smallest_batch
-from kvision.geometry.transform.lists.kept_sizes import Operation
+from kvision.geometry.transform.lists.kept_sizes import Operation, Operations
 
 
 class CallPlan(NamedTuple):
@@ -361,7 +361,7 @@ class Executor(Declaration):
         execution.matrix = transform
         return y
 
-    def _operation(self, like: Tensor, params: Params) -> Operation:
+    def _operation(self, like: Tensor, params: Params) -> Operation | Operations:
         """The operator that makes images like a batch the results, if :meth:`_operates_on` their type."""
         raise NotImplementedError(f"{type(self).__name__}._operation")
 
@@ -392,7 +392,9 @@ class Executor(Declaration):
         chosen = None if columns is None or columns.chosen is None else columns.chosen.float()
         return self._operation_on_list(images, like, execution).on_list(images, chosen)
 
-    def _operation_on_list(self, images: Sequence[Tensor], like: Tensor, execution: Execution) -> Operation:
+    def _operation_on_list(
+        self, images: Sequence[Tensor], like: Tensor, execution: Execution
+    ) -> Operation | Operations:
         """The operator for a list, like a batch: that of its images, or where it depends on their sizes another one."""
         return self._operation(like, self._params_on_device(like, execution, for_users=False))
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 from kvision._constants import constant
+from kvision._dtype import compute_dtype
 from kvision.geometry.transform.lists.arguments import sizes
 
 
@@ -41,6 +42,15 @@ def sizes_of_list(images: Sequence[Tensor]) -> Tensor:
     """Height and width of images (C, H, W), (B, 2) float64 on their device."""
     each = sizes(images)
     return rows_on_device(tuple(zip(each[::2], each[1::2])), images[0])
+
+
+def sides_of(like: Tensor, images: Sequence[Tensor] | None) -> tuple[Any, Any]:
+    """Height and width of images like a batch, or (B, 1) of those of a list, of the type that is computed in."""
+    if images is None:
+        height, width = like.shape[-2:]
+        return height, width
+    own = sizes_of_list(images).to(compute_dtype(like))
+    return own[:, :1], own[:, 1:]
 
 
 def rows_on_device(rows: tuple[tuple[float, ...], ...], like: Tensor) -> Tensor:

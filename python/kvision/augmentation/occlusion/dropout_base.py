@@ -104,5 +104,6 @@ class ErasingDropout(DropoutBase, keeps_contract=True):
     def _run_list(self, images: Sequence[Tensor], execution: Execution) -> list[Tensor]:
         like = like_batch(images)
         operation = self._operation_on_list(images, like, execution)
+        assert isinstance(operation, Operation)
         has_columns = self.keeps_unchosen and execution.params is None
         return erased_where(operation, None if has_columns else execution.chosen).on_list(images)

@@ -24,7 +24,8 @@ class PlasmaGenerator(PlainUniformGenerator):
         self._one_channel = one_channel
 
     def pixel_params(self, columns: Tensor, shape: Shape, noise: PixelNoise) -> dict[str, Tensor]:
-        return {"plasma": self.plasma(columns, shape[1], shape[-2:], noise)}
+        """The map of a batch, or of a list whose shape has height and width of each image."""
+        return {"plasma": self.plasma(columns, shape[1], shape[2:], noise)}
 
     def plasma(self, columns: Tensor, channels: int, sides: Sequence[int], noise: PixelNoise) -> Tensor:
         """The maps of images of so many channels, of one height and width, or of those of each; as large as the largest."""

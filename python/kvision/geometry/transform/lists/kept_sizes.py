@@ -16,6 +16,7 @@ from kvision.geometry.transform.lists.arguments import row
 Arguments = tuple[Any, ...]
 _OF_LISTS: dict[Operator, ListOperator] = {}
 _FILTERS: set[ListOperator] = set()
+_KEPT: dict[ListOperator, Callable[..., Arguments]] = {}
 
 
 def runs_on_lists(operator: Operator) -> bool:
@@ -35,13 +36,34 @@ class Operation(NamedTuple):
     def on_list(self, images: Sequence[Tensor], chosen: Tensor | None = None) -> list[Tensor]:
         """The results of images (C, H, W) of different sizes.
 
-        Those of filters copy images that are not `chosen`, (B,) float32; None for all.
+        Images that are not `chosen`, (B,) float32, stay as they are, but for operators that draw; None for all.
         """
         if 0 in self.operator.non_differentiable:
             images = [x.detach() for x in images]
         operator = _OF_LISTS[self.operator]
-        first = (chosen,) if operator in _FILTERS else ()
-        return list(operator(images, *first, *self.arguments))
+        first, arguments = (chosen,) if operator in _FILTERS else (), self.arguments
+        if chosen is not None and operator in _KEPT:
+            arguments = _KEPT[operator](chosen, *arguments)
+        return list(operator(images, *first, *arguments))
+
+
+class Operations(NamedTuple):
+    """Operators that follow each other. Images of a batch that are not `chosen`, (B,), stay as they are; None for all."""
+
+    each: Sequence[Operation]
+    chosen: Tensor | None = None
+
+    def __call__(self, images: Tensor) -> Tensor:
+        y = images
+        for operation in self.each:
+            y = operation(y)
+        return y if self.chosen is None else torch.where(self.chosen[:, None, None, None] != 0, y, images)
+
+    def on_list(self, images: Sequence[Tensor], chosen: Tensor | None = None) -> list[Tensor]:
+        """The results of images (C, H, W) of different sizes, as those of an operation."""
+        for operation in self.each:
+            images = operation.on_list(images, chosen)
+        return list(images)
 
 
 def register_list(
@@ -49,6 +71,7 @@ def register_list(
     of: Operator,
     of_sample: Callable[..., Arguments],
     backward: Callable[..., Sequence[Tensor | None]] | None = None,
+    kept: Callable[..., Arguments] | None = None,
 ) -> ListOperator:
     """The operator on lists of images (C, H, W) that an operator on images (B, C, H, W) has a kernel for.
 
@@ -58,6 +81,7 @@ def register_list(
         of_sample: the arguments behind the images of sample b, for its number and those of all.
         backward: the gradients of the first tensors of a batch, for which of them are wanted, the gradient and the arguments;
             default: those of the reference.
+        kept: the arguments behind the images with which those stay that are not chosen, for which are, (B,), and the arguments.
     """
 
     of_batch = backward or _of_reference(of)
@@ -74,7 +98,10 @@ def register_list(
         found = [None if own[0] is None else _of_all(own, x) for own, x in zip(others, args)]
         return [[g[0] for g in of_images] if needs[0] else None, *found, *(None,) * (len(needs) - 1 - len(found))]
 
-    return _register(name, of, reference, gradients)
+    operator = _register(name, of, reference, gradients)
+    if kept is not None:
+        _KEPT[operator] = kept
+    return operator
 
 
 def _of_reference(of: Operator) -> Callable[..., Sequence[Tensor | None]]:

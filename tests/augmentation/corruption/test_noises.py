@@ -4,6 +4,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from kvision import augmentation as A
 from kvision.augmentation.corruption.noises import iso_noise
 from op_tests import OpTests, assert_close
 
@@ -64,3 +65,10 @@ def test_maps_take_the_place_of_words(device):
     columns = torch.tensor([[0.1, 0.5]])
     y = iso_noise(x.to(device), columns.to(device), KEYS, None, None, maps.to(device), PLAN).cpu()
     assert_close(y, iso_noise.reference(x, columns, KEYS, None, None, maps, PLAN), 1e-5, 1e-5)
+
+
+@pytest.mark.parametrize("p", [0.5, 1.0])
+def test_iso_noise_refuses_lists_of_other_channels(p, device):
+    images = [torch.rand(2, 4, 5, device=device), torch.rand(2, 6, 4, device=device)]
+    with pytest.raises(ValueError, match="ISONoise: expected images with 3 channels, got"):
+        A.ISONoise(p=p)(images)

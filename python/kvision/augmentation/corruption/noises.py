@@ -211,12 +211,9 @@ class ISONoise(IntensityAugmentationBase2D, keeps_contract=True):
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
-        if input.shape[1] != 3:
-            raise ShapeError(
-                f"ISONoise: expected images with 3 channels, got {tuple(input.shape)}{_check.channels_advice(input.shape)}"
-            )
         if "_noise" in params:
             return self._operation(input, params)(input)
+        self._check_channels(input)
         numbers = [params[name].to(input.device, compute_dtype(input)) for name in ("color_shift", "intensity")]
         maps = torch.cat(
             [params[name].to(input.device, torch.float32) for name in ("luminance_noise", "color_noise")], 1
@@ -225,7 +222,15 @@ class ISONoise(IntensityAugmentationBase2D, keeps_contract=True):
         return y
 
     def _operation(self, like: Tensor, params: Params) -> Operation:
+        self._check_channels(like)
         return drawing(iso_noise, like, *params["_noise"])
+
+    @staticmethod
+    def _check_channels(x: Tensor) -> None:
+        if x.shape[1] != 3:
+            raise ShapeError(
+                f"ISONoise: expected images with 3 channels, got {tuple(x.shape)}{_check.channels_advice(x.shape)}"
+            )
 
 
 def multiplication(generator: FactorsGenerator, like: Tensor, params: Params) -> Operation:

@@ -79,6 +79,23 @@ def test_labels_follow_into_other_sizes(name, device):
             assert_same(of_back[b], returned[0])
 
 
+NEVER = {
+    "alone": lambda: (A.CenterCrop((9, 11), p=0.0),),
+    "first": lambda: (A.RandomCrop((9, 11), p=0.0), A.RandomHorizontalFlip()),
+    "behind": lambda: (A.RandomAffine(20.0), A.Resize((9, 11), p=0.0), A.SmallestMaxSize(9), A.RandomInvert()),
+    "before another": lambda: (A.RandomCrop((9, 11), p=0.0), A.RandomHorizontalFlip(), A.Resize((12, 11))),
+    "beside a choice": lambda: (A.RandomCrop((9, 11), p=0.0), A.RandomResizedCrop((9, 11), p=0.5)),
+}
+
+
+@pytest.mark.parametrize("name", NEVER)
+def test_sizes_that_are_never_given(name, device):
+    children, images = NEVER[name](), pictures(device, SIZES)
+    augment = children[0] if len(children) == 1 else A.ImageSequential(*children)
+    assert_as_alone(augment, images)
+    assert type(augment(images)) is (torch.Tensor if name == "before another" else list)
+
+
 @pytest.mark.parametrize("name", ["shorter side", "pad by reflection", "scale by warps", "transpose", "chain", "crop"])
 def test_gradients_of_results_of_other_sizes(name, device):
     augment = A.ImageSequential(*ALL[name]())

@@ -27,7 +27,7 @@ from kvision.augmentation.engine.execution import Execution, ListExecution, Shap
 from kvision.augmentation.engine.list_calls import SIZES, Parts, refuse_list, seeds_of_list
 from kvision.augmentation.engine.passes import Alone, Joined, Running, Step, plan_steps
 from kvision.augmentation.engine.record import Child, Record
-from kvision.augmentation.engine.runs import Call, RunPlan, decides, plan_run, runs_of, with_derived
+from kvision.augmentation.engine.runs import Call, RunPlan, decides, may_apply, plan_run, runs_of, with_derived
 from kvision.augmentation.engine.stages import Chain, Stage
 from kvision.augmentation.keys import Keys
 from kvision.augmentation.noise import PixelNoise
@@ -119,7 +119,7 @@ class _Reading:
         requests = [
             m._request(shape, self.is_certain, self.has_owners)
             for m, shape in zip(self.modules, self.shapes(size))
-            if self.is_certain or (m.p > 0 and m.p_batch > 0)
+            if may_apply(m, self.is_certain)
         ]
         return [draw for request in requests if request is not None for draw in request.draws]
 
@@ -491,7 +491,7 @@ def run_list(images: list[Tensor], children: Sequence[Child], context: CallConte
     names = [child.name for child in children]
     done: tuple[Any, Sequence[_Samples]] | None
     if context.is_certain or not any(decides(m) or not m.has_known_size for m in modules):
-        plan = _kept_plan(images, modules, [True] * len(modules), context)
+        plan = _kept_plan(images, modules, [may_apply(m, context.is_certain) for m in modules], context)
         done = None if plan is None else _run_planned(images, modules, names, context, plan)
     else:
         done = _run_decided(images, modules, names, context)
@@ -544,11 +544,11 @@ def _decided(modules: Sequence[Any], seeds: Tensor, context: CallContext) -> lis
     keys, number, columns = seeds.tolist(), 0, list[list[bool]]()
     for module in modules:
         if not decides(module):
-            columns.append([True] * len(keys))
+            columns.append([may_apply(module, context.is_certain)] * len(keys))
         else:
             position = context.position + number
             columns.append([is_chosen_batch(key, position, module.p_batch) for key in keys])
-        number += module.p > 0 and module.p_batch > 0 and module._request((1, 3, *SIZES[0])) is not None
+        number += may_apply(module, False) and module._request((1, 3, *SIZES[0])) is not None
     return grouped(columns)
 
 
@@ -639,6 +639,8 @@ def _sizes_before(sized: Sized, images: Sequence[Tensor], number: int) -> Tensor
 
 def run_list_steps(x: Any, steps: Sequence[Step], running: Running, of_list: int, sized: Sized) -> Any:
     """What steps make of a list, which `of_list` of them read; the last of these may give a batch."""
+    if not steps:
+        return list(x)
     has_one_size = sized.own < len(running.modules)
     for i, step in enumerate(steps):
         if i >= of_list:

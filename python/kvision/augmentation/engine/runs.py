@@ -385,6 +385,11 @@ def decides(module: Executor) -> bool:
     return module.whole_batch and 0 < module.p_batch < 1
 
 
+def may_apply(module: Executor, is_certain: bool) -> bool:
+    """Whether a call may augment anything, by the chances of its module."""
+    return is_certain or (module.p > 0 and module.p_batch > 0)
+
+
 def with_derived(
     modules: Sequence[Executor],
     executions: Sequence[Execution],
@@ -434,8 +439,9 @@ def plan_run(
     drawing: list[Executor] = []
     keys: Keys | None = None
     for module in modules:
-        may_apply = context.is_certain or (module.p > 0 and module.p_batch > 0)
-        request = module._request((samples, *shape[1:]), context.is_certain, has_owners) if may_apply else None
+        request = None
+        if may_apply(module, context.is_certain):
+            request = module._request((samples, *shape[1:]), context.is_certain, has_owners)
         number = len(requests)
         if request is not None:
             requests.append(request)

@@ -182,15 +182,21 @@ def refuse_list(op: str, modules: Any) -> None:
 def _rows_of_parts(images: Sequence[Tensor], modules: Sequence[Any], has_seeds: bool) -> list[list[int]]:
     """The numbers of the images of each part: those of one size, or one image where samples of a batch would not be alone.
 
-    A chance may decide for a batch, and what is chosen for samples may give them sizes of their own.
+    A chance may decide for a batch, as may a size that is drawn, and what is chosen for samples may give them sizes of their own.
     """
     by_size: dict[tuple[int, ...], list[int]] = {}
     for i, x in enumerate(images):
         by_size.setdefault(tuple(x.shape), []).append(i)
-    has_chance = len(by_size) > 1 and any(getattr(m, "whole_batch", False) and 0 < m.p_batch < 1 for m in modules)
-    if has_chance or any(_gives_samples_sizes(m, has_seeds or len(by_size) > 1) for m in modules):
+    draws_for_batch = len(by_size) > 1 and any(_draws_for_batch(m) for m in modules)
+    if draws_for_batch or any(_gives_samples_sizes(m, has_seeds or len(by_size) > 1) for m in modules):
         return [[i] for i in range(len(images))]
     return list(by_size.values())
+
+
+def _draws_for_batch(module: Any) -> bool:
+    """Whether a chance decides for a batch, or a size that is drawn is that of a batch."""
+    has_chance = getattr(module, "whole_batch", False) and 0 < module.p_batch < 1
+    return has_chance or not getattr(module, "has_known_size", True)
 
 
 def _gives_samples_sizes(module: Any, has_seeds: bool) -> bool:

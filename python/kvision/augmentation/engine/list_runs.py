@@ -377,8 +377,8 @@ class _Call:
         return any(m._param_generator is not None and m._param_generator.per_pixel for m in drawing)
 
     def rows(self) -> list[list[int]]:
-        """The numbers of the images of each size; of one by one where these tell their pixels' noise apart."""
-        if self._has_noise:
+        """The numbers of the images of each size; of one by one where these tell their pixels' noise apart, or draw sizes."""
+        if self._has_noise or not all(module.has_known_size for module in self.modules):
             return [[i] for i in range(self.shape[0])]
         by_size: dict[Size, list[int]] = {}
         for i, size in enumerate(zip(self.sides[::2], self.sides[1::2])):

@@ -92,6 +92,28 @@ def test_windows_of_one_size_behind_colors(device):
         augment(small, [*boxes, boxes[1]])
 
 
+@pytest.mark.parametrize("name", ["alone", "one crop", "two chances"])
+def test_windows_by_chance_follow_from_the_boxes_of_their_image(name, device):
+    """Images for which crops are chosen differently are runs of their own, which read their own boxes."""
+    crop = A.AtLeastOneBBoxRandomCrop(10, 12, p=0.5)
+    children = {
+        "alone": [crop],
+        "one crop": [A.RandomInvert(), crop, A.RandomHorizontalFlip()],
+        "two chances": [A.RandomIoUCrop(), A.Transpose(p=0.5)],
+    }[name]
+    augment = A.AugmentationSequential(*children, data_keys=["input", "bbox_xyxy"])
+    images, boxes = pictures(device, (*SMALL, *SMALL)), [*labels(device), *labels(device)]
+    seeds, same = seeds_of(images), comparison(augment, images[0].device)
+    results, moved = augment(images, boxes, seed=seeds)
+    assert len({y.shape == x.shape for x, y in zip(images, results)}) == 2
+    for b, x in enumerate(images):
+        y, own = augment(x[None], [boxes[b]], seed=seeds[b : b + 1])
+        assert same(results[b], y[0]) and torch.equal(moved[b], own[0])
+        if name == "alone":
+            alone = crop(x[None], seed=seeds[b : b + 1], boxes=[boxes[b]])
+            assert same(crop(images, seed=seeds, boxes=boxes)[b], alone[0])
+
+
 def test_gradients_of_antialiased_windows(device):
     for augment in (A.RandomIoUCrop(), A.ImageSequential(A.RandomIoUCrop(), A.ColorJitter(0.2, 0.2, p=1.0))):
         images = [x.requires_grad_() for x in pictures(device, SMALL)]

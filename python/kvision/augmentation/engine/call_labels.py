@@ -43,6 +43,10 @@ class CallLabels(NamedTuple):
         """The labels of some samples, to which stages happen that are one stage of the whole batch by `wrap`."""
         return self._replace(stages=(), outer=self, wrap=wrap, rows=rows)
 
+    def some(self, rows: Sequence[int]) -> CallLabels:
+        """The labels of some of these samples, which have been through the same stages."""
+        return self._replace(rows=rows if self.rows is None else [self.rows[i] for i in rows])
+
     def read(self, kind: str, shape: Size, frames: int = 1) -> Any:
         """What a draw reads: `boxes` or `masks` of the images, now of a shape; those of `frames` neighbors together."""
         return self.boxes(shape, frames) if kind == "boxes" else self.masks_of_samples(frames)

@@ -524,7 +524,8 @@ def _run_decided(
     seeds = seeds_of_list(context.op, modules, len(images), context.seed, context.generator_of(modules[0]))
     planned = []
     for samples, applied in _decided(modules, seeds, context):
-        own = context._replace(seed=read_rows(seeds, samples), generator=None)
+        labels = None if context.labels is None else context.labels.some(samples)
+        own = context._replace(seed=read_rows(seeds, samples), generator=None, labels=labels)
         plan = _kept_plan(images, modules, applied, own)
         if plan is None:
             return None

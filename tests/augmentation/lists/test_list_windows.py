@@ -90,6 +90,8 @@ def test_windows_of_one_size_behind_colors(device):
     small = [*images, torch.rand(3, 9, 30, device=device)]
     with pytest.raises(ValueError, match=r"expected images of at least \(10, 12\), got \(9, 30\)"):
         augment(small, [*boxes, boxes[1]])
+    with pytest.raises(ValueError, match=r"expected images of at least \(10, 12\), got \(9, 30\)"):
+        A.AtLeastOneBBoxRandomCrop(10, 12)(small, boxes=[*boxes, boxes[1]])
 
 
 @pytest.mark.parametrize("name", ["alone", "one crop", "two chances"])

@@ -39,6 +39,7 @@ class ListPlan(NamedTuple):
     )  # of all draws, but for the sizes in those of SIZED; None if others depend on the size, too
     sizes_at: list[int]  # where the heights are among the numbers, before the widths
     chain: Sequence[Transform] | None  # of the matrix; None if it depends on the size
+    has_least_size: bool  # smaller images are refused where it draws for them
 
     @property
     def only_windows_differ(self) -> bool:
@@ -74,8 +75,20 @@ def _list_plan(module: Any) -> ListPlan | None:
             row[at : at + 2] = rows[0][at : at + 2]
     numbers = rows[0] if rows[0] == rows[1] else None
     return ListPlan(
-        (int(first[0]), int(first[1])), numbers, sizes_at, chains[0] if formulas[0] == formulas[1] else None
+        (int(first[0]), int(first[1])),
+        numbers,
+        sizes_at,
+        chains[0] if formulas[0] == formulas[1] else None,
+        _has_least_size(module),
     )
+
+
+def _has_least_size(module: Any) -> bool:
+    try:
+        module._request((1, 3, 1, 1))
+    except ValueError:
+        return True
+    return False
 
 
 def _numbered(request: Request | None) -> Iterator[tuple[int, Any]]:
@@ -176,6 +189,9 @@ class ListCall:
         draws = range(len(self.module._request((*self._batch, *self.sides[:2])).draws))
         if self.plan.numbers is None:
             return draws, [number for shape in self.shapes for number in _numbers(self.module._request(shape))[2:]]
+        if self.plan.has_least_size:
+            for shape in set(self.shapes):
+                self.module._request(shape)
         own = self.plan.numbers[2:]
         numbers = own * self._batch[0]
         for at in self.plan.sizes_at:

@@ -123,6 +123,15 @@ def test_calls_with_given_parameters(name, dtype, backend):
         assert calls(augment, images, params=params) <= 8
 
 
+@pytest.mark.parametrize("behind", [A.RandomInvert, A.PixelDropout, A.Transpose], ids=lambda kind: kind.__name__)
+def test_chains_with_a_choice_that_some_images_get(behind, device):
+    """Parameters of a list have the children of each image, which a replay gives to that image alone."""
+    apply = A.RandomApply(A.RandomInvert(p=1.0), A.RandomSolarize(0.1, 0.1, p=1.0))
+    augment, images = A.ImageSequential(apply, behind(p=1.0)), pictures(device, [(16 + i, 40 - i) for i in range(8)])
+    results = augment(images, seed=seeds_of(images))
+    assert all(torch.equal(a, b) for a, b in zip(results, augment(images, params=augment._params)))
+
+
 @pytest.mark.parametrize("name", ["run", "late crop", "containers", "RandomApply"])
 def test_labels_with_given_parameters(name):
     augment, images = REPLAYS[name](), pictures("cpu", [(16 + i, 40 - i) for i in range(24)])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
-from itertools import accumulate, chain
+from itertools import accumulate, chain, groupby
 from typing import Any
 
 from torch import Generator
@@ -258,7 +258,8 @@ class RandomApply(ChoiceBase):
         return [(0,)] * len(drawn)
 
     def _units(self, children: Sequence[Child]) -> list[Sequence[Child]]:
-        return [children] if children else []
+        """All of them; of the parameters of a list those of each part, which has samples of its own."""
+        return [list(own) for _, own in groupby(children, key=lambda child: child.samples)]
 
 
 def _weight(child: Any) -> float:

@@ -116,6 +116,16 @@ def test_windows_by_chance_follow_from_the_boxes_of_their_image(name, device):
             assert same(crop(images, seed=seeds, boxes=boxes)[b], alone[0])
 
 
+@pytest.mark.parametrize("count", [1, 3, 4])
+def test_layers_behind_windows_that_follow_from_boxes(count, device):
+    """They are as many as the images, whatever the number that a plan is made with."""
+    augment = A.ImageSequential(A.RandomSizedBBoxSafeCrop(9, 11, 0.2, p=0.5), A.RandomGaussianIllumination(p=1.0))
+    images = pictures(device, SMALL)[:count]
+    results, same = augment(images, seed=seeds_of(images)), comparison(augment, images[0].device)
+    for b, x in enumerate(images):
+        assert same(results[b], augment(x[None], seed=seeds_of(images)[b : b + 1])[0])
+
+
 def test_gradients_of_antialiased_windows(device):
     for augment in (A.RandomIoUCrop(), A.ImageSequential(A.RandomIoUCrop(), A.ColorJitter(0.2, 0.2, p=1.0))):
         images = [x.requires_grad_() for x in pictures(device, SMALL)]

@@ -606,18 +606,24 @@ def _execute(
         if columns is not None:
             columns = plan.run.of_owners(columns, context.owners)
     needs_executions = run.derives or len(run.steps) > plan.steps or any(isinstance(s, Alone) for s in run.steps)
-    executions = run.executions(like, columns, keys) if needs_executions else []
-    for execution in executions:
-        execution.shape = (len(images), *execution.shape[1:])
+    executions = _executions(len(images), run, like, columns, keys) if needs_executions else []
     if run.derives and columns is not None:
         width, sized = run.draws[0].plan[0], columns.shape[1]  # the numbers of sizes follow what is derived
         columns = with_derived(modules, executions, columns, run, context, partial(_sizes_before, plan.sized, images))
         columns = torch.cat([columns[:, :width], columns[:, sized:], columns[:, width:sized]], 1)
-        executions = run.executions(like, columns, keys)
+        executions = _executions(len(images), run, like, columns, keys)
     running = Running(modules, executions, columns, context.has_labels)
     done = 0 if drawn is None else 1
     x = run_list_steps(x, run.steps[done:], running, plan.steps - done, plan.sized)
     return x, columns, keys, sides
+
+
+def _executions(count: int, run: RunPlan, like: Tensor, columns: Tensor | None, keys: Keys | None) -> list[Execution]:
+    """What a run executes for so many images."""
+    executions = run.executions(like, columns, keys)
+    for execution in executions:
+        execution.shape = (count, *execution.shape[1:])
+    return executions
 
 
 def _of_each(plan: _ListPlan, images: Sequence[Tensor]) -> Tensor | None:

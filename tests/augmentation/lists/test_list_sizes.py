@@ -96,13 +96,18 @@ def test_sizes_that_are_never_given(name, device):
     assert type(augment(images)) is (torch.Tensor if name == "before another" else list)
 
 
-@pytest.mark.parametrize("name", ["alone", "in a chain", "image by image"])
+@pytest.mark.parametrize("name", ["alone", "only child", "in a chain", "image by image"])
 def test_images_of_one_size_have_a_factor_each(name, device):
     """Their parameters and inverse are those factors', too."""
     scale = A.RandomScale((0.4, 1.6), p=1.0)
-    others = {"alone": [], "in a chain": [A.RandomInvert(p=1.0)], "image by image": [A.RandomSnow(p=1.0)]}[name]
+    others = {
+        "alone": [],
+        "only child": [],
+        "in a chain": [A.RandomInvert(p=1.0)],
+        "image by image": [A.RandomSnow(p=1.0)],
+    }[name]
     images = pictures(device, ((37, 30), (37, 30), (25, 19)))
-    augment = A.ImageSequential(scale, *others) if others else scale
+    augment = scale if name == "alone" else A.ImageSequential(scale, *others)
     results = augment(images, seed=seeds_of(images))
     assert results[0].shape != results[1].shape
     assert_as_alone(augment, images)

@@ -435,6 +435,8 @@ def record_of_run(
     record = Record(shape, children, Chain(stages))
     for execution, module in zip(executions, modules):
         shape = module.output_shape(execution.shape, module.flags) if execution.applied else shape
+    if not modules[-1].has_known_size:  # which ends a run
+        shape = (*shape[:2], *modules[-1]._size_of(executions[-1], modules[-1].flags))
     record.size, record.identity = shape[2:], matrix_type(like)
     return record
 

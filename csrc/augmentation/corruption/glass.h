@@ -2,6 +2,7 @@
 // value there. corruption/glass.py of kvision.augmentation defines it.
 #pragma once
 
+#include "augmentation/corruption/place_sample.h"
 #include "augmentation/noise.h"
 
 namespace kv::augmentation {
@@ -57,13 +58,7 @@ struct ReadNeighborsList {
 
   KV_HD ReadNeighbors<T> sample(int b) const {
     ReadNeighbors<T> one = all;
-    auto const x = images_of<T>(list.images[b], int(all.channels));
-    auto const y = images_of<T>(list.results[b], int(all.channels), list.interleaved);
-    one.x = x.data, one.y = y.data;
-    one.batch = 1, one.height = y.height, one.width = y.width;
-    int64_t const of_x[] = {0, x.channel_stride, x.row_stride, x.step},
-                  of_y[] = {0, y.channel_stride, y.row_stride, y.step};
-    for (int i = 0; i < 4; ++i) one.x_strides[i] = of_x[i], one.y_strides[i] = of_y[i];
+    auto const y = place_sample(one, list, b);
     one.noise.skip(b);
     one.noise.pixels = y.height * y.width;
     if (!all.noise.is_chosen(b)) one.steps = 0;

@@ -2,7 +2,7 @@
 // defines them.
 #pragma once
 
-#include "core/image_list.h"
+#include "augmentation/corruption/place_sample.h"
 #include "core/isa.h"
 
 namespace kv::augmentation {
@@ -25,13 +25,7 @@ struct SumOfMovedList {
 
   KV_HD SumOfMoved<T> sample(int b) const {
     SumOfMoved<T> one = all;
-    auto const x = images_of<T>(list.images[b], int(all.channels));
-    auto const y = images_of<T>(list.results[b], int(all.channels), list.interleaved);
-    one.x = x.data, one.y = y.data;
-    one.batch = 1, one.height = y.height, one.width = y.width;
-    int64_t const of_x[] = {0, x.channel_stride, x.row_stride, x.step},
-                  of_y[] = {0, y.channel_stride, y.row_stride, y.step};
-    for (int i = 0; i < 4; ++i) one.x_strides[i] = of_x[i], one.y_strides[i] = of_y[i];
+    place_sample(one, list, b);
     one.moves += b * one.move_stride;
     return one;
   }

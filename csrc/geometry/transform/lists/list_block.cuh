@@ -13,15 +13,21 @@ struct ListBlock {
   S sample;
   TileGrid tiles;
 
-  // By one thread: the sample of the block's index, whose tiles are those of an image of `size(sample)`.
+  // By all threads, which then see it, in shared memory: the sample of the block's index, whose tiles are those of an
+  // image of `size(sample)`.
   template <class List, class SizeOf>
-  static __device__ __forceinline__ void init(void* memory, List const& p, int tiles_per_block, SizeOf size) {
-    int const b = p.list.sample_of(int(blockIdx.x));
-    S const sample = sample_at(p, b);
-    Size const output = size(sample);
-    TileGrid tiles(1, output.height, output.width, tiles_per_block);
-    tiles.first_block = unsigned(p.list.first[b]);
-    new (memory) ListBlock{sample, tiles};
+  static __device__ __forceinline__ ListBlock const& make(void* memory, List const& p, int tiles_per_block,
+                                                          SizeOf size) {
+    if (threadIdx.x == 0) {
+      int const b = p.list.sample_of(int(blockIdx.x));
+      S const sample = sample_at(p, b);
+      Size const output = size(sample);
+      TileGrid tiles(1, output.height, output.width, tiles_per_block);
+      tiles.first_block = unsigned(p.list.first[b]);
+      new (memory) ListBlock{sample, tiles};
+    }
+    __syncthreads();
+    return *static_cast<ListBlock const*>(memory);
   }
 };
 

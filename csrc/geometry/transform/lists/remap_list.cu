@@ -12,10 +12,8 @@ __global__ void __launch_bounds__(kThreads, kBlocks<T, K>)
     remap_list_tiles(__grid_constant__ RemapList<T> const p, int tiles_per_block) {
   using Block = ListBlock<Sample<T>>;
   __shared__ __align__(16) unsigned char memory[sizeof(Block)];
-  if (threadIdx.x == 0)
-    Block::init(memory, p, tiles_per_block, [](Sample<T> const& s) -> Size { return {s.y.height, s.y.width}; });
-  __syncthreads();
-  auto const& block = *reinterpret_cast<Block const*>(memory);
+  Block const& block =
+      Block::make(memory, p, tiles_per_block, [](Sample<T> const& s) -> Size { return {s.y.height, s.y.width}; });
   sample_block<K, false, Aligned>(block.sample, block.tiles);
 }
 

@@ -12,10 +12,8 @@ __global__ void __launch_bounds__(32 * kScatterWarps, sizeof(T) == 8 ? 4 : 6)
     scatter_mapped(__grid_constant__ RemapListBackward<T> const p) {
   using Block = ListBlock<SampleImageBackward<T>>;
   __shared__ __align__(16) unsigned char memory[sizeof(Block)];
-  if (threadIdx.x == 0)
-    Block::init(memory, p, 1, [](SampleImageBackward<T> const& s) -> Size { return {s.grad.height, s.grad.width}; });
-  __syncthreads();
-  auto const& block = *reinterpret_cast<Block const*>(memory);
+  Block const& block =
+      Block::make(memory, p, 1, [](SampleImageBackward<T> const& s) -> Size { return {s.grad.height, s.grad.width}; });
   scatter_block<K>(block.sample, block.tiles);
 }
 

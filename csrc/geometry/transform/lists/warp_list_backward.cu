@@ -12,11 +12,9 @@ __global__ void __launch_bounds__(kThreads, sizeof(T) == 8 ? 2 : 5)
     gather_list(__grid_constant__ SampleListBackward<T> const p, int tiles_per_block) {
   using Block = ListBlock<SampleImageBackward<T>>;
   __shared__ __align__(16) unsigned char memory[sizeof(Block)];
-  if (threadIdx.x == 0)
-    Block::init(memory, p, tiles_per_block,
-                [](SampleImageBackward<T> const& s) -> Size { return {s.grad_x.height, s.grad_x.width}; });
-  __syncthreads();
-  auto const& block = *reinterpret_cast<Block const*>(memory);
+  Block const& block = Block::make(memory, p, tiles_per_block, [](SampleImageBackward<T> const& s) -> Size {
+    return {s.grad_x.height, s.grad_x.width};
+  });
   auto const& grad_x = block.sample.grad_x;
   bool const aligned_out = grad_x.width * int64_t(sizeof(T)) % 16 == 0;  // images of a list begin at vectors
   gather_block<K, Aligned>(block.sample, block.tiles, aligned_out);
@@ -27,10 +25,8 @@ __global__ void __launch_bounds__(32 * kScatterWarps, sizeof(T) == 8 ? 4 : 6)
     scatter_list(__grid_constant__ SampleListBackward<T> const p) {
   using Block = ListBlock<SampleImageBackward<T>>;
   __shared__ __align__(16) unsigned char memory[sizeof(Block)];
-  if (threadIdx.x == 0)
-    Block::init(memory, p, 1, [](SampleImageBackward<T> const& s) -> Size { return {s.grad.height, s.grad.width}; });
-  __syncthreads();
-  auto const& block = *reinterpret_cast<Block const*>(memory);
+  Block const& block =
+      Block::make(memory, p, 1, [](SampleImageBackward<T> const& s) -> Size { return {s.grad.height, s.grad.width}; });
   scatter_block<K>(block.sample, block.tiles);
 }
 

@@ -19,6 +19,7 @@ from kvision.augmentation.engine import Execution, Params, Shape, check_images
 from kvision.augmentation.geometric_base import GeometricAugmentationBase2D
 from kvision.augmentation.inputs import parse_size
 from kvision.augmentation.keys import refuse_capture, refuse_graphs, refuse_mapped
+from kvision.augmentation.lists.sides import rows_on_device
 from kvision.augmentation.maps import warp, warp_each, warp_labels
 from kvision.augmentation.random_generator.base import RandomGeneratorBase
 from kvision.augmentation.random_generator.crop import ResizeGenerator
@@ -276,8 +277,8 @@ class RandomScale(GeometricAugmentationBase2D):
         if self.flags["antialias"]:
             return _antialiased_list(images, of_all, self.flags, is_list=True)
         like = like_batch(images)
-        sides = torch.tensor([[*x.shape[-2:], *size] for x, size in zip(images, sizes)], device="cpu")
-        sides = sides.to(like.device, compute_dtype(like), non_blocking=True)
+        of_each = tuple((*x.shape[-2:], *size) for x, size in zip(images, sizes))
+        sides = rows_on_device(of_each, like, compute_dtype(like))
         matrices = transform_matrix(sides, self._resizing(self.flags, *map(Column, range(4))))
         return list(warp_each(list(images), matrices, of_all, self.resampling(self.flags)))
 

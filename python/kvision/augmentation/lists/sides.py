@@ -53,13 +53,11 @@ def sides_of(like: Tensor, images: Sequence[Tensor] | None) -> tuple[Any, Any]:
     return own[:, :1], own[:, 1:]
 
 
-def rows_on_device(rows: tuple[tuple[float, ...], ...], like: Tensor) -> Tensor:
-    """A row of numbers of each image, float64 on the device of a tensor, without waiting for it."""
+def rows_on_device(rows: tuple[tuple[float, ...], ...], like: Tensor, dtype: torch.dtype = torch.float64) -> Tensor:
+    """A row of numbers of each image, on the device of a tensor, without waiting for it."""
     if like.is_cuda and torch.cuda.is_current_stream_capturing():
-        return constant(
-            rows, like, torch.float64
-        )  # a graph would repeat the copy from memory that has other owners by then
-    return torch.tensor(rows, dtype=torch.float64, device="cpu").to(like.device, non_blocking=True)
+        return constant(rows, like, dtype)  # a graph would repeat the copy from memory that has other owners by then
+    return torch.tensor(rows, dtype=dtype, device="cpu").to(like.device, non_blocking=True)
 
 
 def sides_of_list(images: Sequence[Tensor]) -> tuple[Side, Side]:

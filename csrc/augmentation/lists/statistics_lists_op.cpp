@@ -2,6 +2,7 @@
 // and CUDA.
 #include "augmentation/lists/listed_images.h"
 #include "enhance/clahe.h"
+#include "enhance/contrast/channel_contrast.h"
 #include "enhance/equalize.h"
 #include "enhance/jpeg_glue.h"
 #include "enhance/min_max.h"
@@ -17,6 +18,10 @@ void run([[maybe_unused]] Tensor const& like, EqualizeList<T> const& p, [[maybe_
 template <class T>
 void run([[maybe_unused]] Tensor const& like, MinMaxList<T> const& p, [[maybe_unused]] int64_t cost) {
   KV_RUN(min_max_list, like, p, p.list.items, cost);
+}
+template <class T>
+void run([[maybe_unused]] Tensor const& like, ChannelContrastList<T> const& p, [[maybe_unused]] int64_t cost) {
+  KV_RUN(channel_contrast_list, like, p, p.list.items, cost);
 }
 template <class T>
 void run([[maybe_unused]] Tensor const& like, ClaheList<T> const& p, [[maybe_unused]] int64_t cost) {
@@ -79,6 +84,24 @@ Tensors normalize_min_max_list(Tensors const& images, OptionalTensor const& chos
   return list.kept.results;
 }
 
+Tensors channel_contrast_list(Tensors const& images, OptionalTensor const& chosen, double factor) {
+  ListedImages const list("channel_contrast_list", images, chosen, true);
+  Tensor const& like = list.like();
+  check_pixels(list);
+  int64_t chunks = 0;
+  for (Tensor const& x : list.images) chunks += enhance::contrast_chunks(x.size(1) * x.size(2));
+  dispatch_floating_and_uint8(list.kept.op, like, [&]<class T>(Type<T>) {
+    using F = Compute<T>;
+    Tensor const memory = enhance::working_memory<F>(like, like.size(1) * chunks);
+    enhance::ChannelContrast<T> all{};
+    all.factor = F(factor), all.most = sizeof(T) == 1 ? 255 : 1;
+    all.partial = static_cast<F*>(memory.mutable_data_ptr());
+    list.filter_channels<enhance::ChannelContrastList<T>>(
+        all, 2, [&](auto const& p, int64_t cost) { enhance::run(like, p, cost); });
+  });
+  return list.kept.results;
+}
+
 Tensors equalize_clahe_list(Tensors const& images, OptionalTensor const& chosen, OptionalTensor const& clip_limits,
                             double clip_limit, int64_t rows, int64_t columns, bool opencv) {
   ListedImages const list("equalize_clahe_list", images, chosen);
@@ -134,6 +157,7 @@ KV_OPERATOR(equalize_list, "(Tensor[] images, Tensor? chosen, bool opencv) -> Te
 KV_OPERATOR(normalize_min_max_list,
             "(Tensor[] images, Tensor? chosen, float low, float high, float eps, bool clamps, bool keeps_flat)"
             " -> Tensor[]")
+KV_OPERATOR(channel_contrast_list, "(Tensor[] images, Tensor? chosen, float factor) -> Tensor[]")
 KV_OPERATOR(equalize_clahe_list,
             "(Tensor[] images, Tensor? chosen, Tensor? clip_limits, float clip_limit, int rows, int columns,"
             " bool opencv) -> Tensor[]")

@@ -30,7 +30,6 @@ BY_SIZE = {
 # The same of the names of CommonCorruption.
 CORRUPTIONS_BY_SIZE = {
     "a blur whose window grows with the image": {"elastic_transform"},
-    "the mean of each channel": {"contrast"},
     "drops, stains and flakes in a layer of each size": {"snow", "spatter"},
 }
 

@@ -32,6 +32,7 @@ MAKE = {
     "smooth": lambda **o: A.CommonCorruption("gaussian_blur", 1, **o),
     "pixelate": lambda **o: A.CommonCorruption("pixelate", 3, **o),
     "common frost": lambda **o: A.CommonCorruption("frost", 3, FROST, **o),
+    "common contrast": lambda **o: A.CommonCorruption("contrast", 3, **o),
     "common fog": lambda **o: A.CommonCorruption("fog", 3, **o),
     "common codec": lambda **o: A.CommonCorruption("jpeg_compression", 3, **o),
     "glass": lambda **o: A.CommonCorruption("glass_blur", 3, **o),

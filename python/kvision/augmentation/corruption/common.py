@@ -43,7 +43,6 @@ from kvision.augmentation.random_generator.plasma import PlasmaGenerator
 from kvision.augmentation.warp_and_color import ColorStep, Resampling
 from kvision.core.exceptions import ValueCheckError
 from kvision.enhance.batch import colors
-from kvision.enhance.contrast import adjust_contrast_with_mean_subtraction
 from kvision.filters.filter2d import filter_arguments
 from kvision.filters.smoothing.gaussian import blur_arguments, gaussian_blur2d
 from kvision.geometry.transform.lists.arguments import sizes
@@ -211,10 +210,8 @@ def _fog(like: Tensor, drawn: Params, images: Images, amount: float, roughness: 
     return fogged(like, drawn["plasma"], constant((amount,), like, compute_dtype(like)), images)
 
 
-def _contrast(x: Tensor, drawn: Params, factor: float) -> Tensor:
-    """Around the mean of each channel."""
-    channels = x.flatten(0, 1)[:, None]
-    return adjust_contrast_with_mean_subtraction(channels, factor).view(x.shape)
+def _contrast(like: Tensor, drawn: Params, images: Images, factor: float) -> Operation:
+    return Operation(statistics_lists.channel_contrast, (factor,))
 
 
 def _elastic_transform(x: Tensor, drawn: Params, alpha: float) -> Tensor:
@@ -366,7 +363,7 @@ CORRUPTIONS: dict[CorruptionName, Corruption] = {
         is_operation=True,
     ),
     "brightness": Corruption(None, _each(0.1, 0.2, 0.3, 0.4, 0.5), steps=_brightness),
-    "contrast": Corruption(_contrast, _each(0.4, 0.3, 0.2, 0.1, 0.05), takes_bytes=True),
+    "contrast": Corruption(_contrast, _each(0.4, 0.3, 0.2, 0.1, 0.05), takes_bytes=True, is_operation=True),
     "elastic_transform": Corruption(
         _elastic_transform,
         _each(12.5, 16.25, 21.25, 25.0, 30.0),

@@ -7,6 +7,8 @@ from typing import Any
 
 from torch import Tensor
 
+from kvision.enhance.channel_contrast import backward as _of_contrast
+from kvision.enhance.channel_contrast import channel_contrast
 from kvision.enhance.clahe import _equalize_clahe as equalize_clahe
 from kvision.enhance.equalize import _equalize as equalize
 from kvision.enhance.equalize import equalize_backward
@@ -30,6 +32,13 @@ def _of_range(needs: Sequence[bool], grad: Tensor, x: Tensor, *settings: Any) ->
 
 
 register_filter("normalize_min_max_list", normalize_min_max, lambda b, *settings: settings, _of_range)
+
+
+def _of_channels(needs: Sequence[bool], grad: Tensor, x: Tensor, factor: float) -> list[Tensor | None]:
+    return [_of_contrast(grad, x, factor)]
+
+
+register_filter("channel_contrast_list", channel_contrast, lambda b, factor: (factor,), _of_channels)
 
 
 def _of_clahe_sample(b: int, clip_limits: Tensor | None, *rest: Any) -> tuple[Any, ...]:

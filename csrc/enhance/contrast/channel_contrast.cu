@@ -1,0 +1,204 @@
+// Contrast of channels on CUDA, in two launches. In the first one each block sums a chunk of a plane. In the second one
+// each block adds up the chunks of its plane, then maps its chunk, the last ones first: what the first launch read last
+// is still in the L2 cache. Between them the gradient has a launch that sums the gradients of the mean.
+#include "channel_contrast.h"
+#include "core/block_reduce.cuh"
+#include "core/row_vectors.cuh"
+#include "core/stencils/filter_list.cuh"
+
+namespace kv::enhance::cuda {
+namespace {
+
+constexpr int kContrastThreads = 256;
+// Pixels of 16 bytes, which a thread adds up wherever they begin, so that sums do not depend on alignment.
+template <class T>
+constexpr int kSummed = 16 / int(sizeof(T));
+// Those of a thread's vectors where all planes are aligned alike.
+template <class T>
+constexpr int kMapped = sizeof(T) == 8 ? 1 : kSummed<T>;
+
+// A part of a flat plane.
+struct ContrastChunk {
+  int64_t plane;
+  int begin, end;
+  __device__ __forceinline__ ContrastChunk(unsigned block, int64_t chunks, int64_t pixels)
+      : plane(block / chunks),
+        begin(int(block - plane * chunks) * kContrastChunk),
+        end(int(min(int64_t(begin) + kContrastChunk, pixels))) {}
+};
+
+template <class T>
+__device__ __forceinline__ Vector<T, kSummed<T>> pixels_of(T const* x, int64_t step, int i, int end) {
+  constexpr int N = kSummed<T>;
+  if (step == 1) return load_unaligned<N>(x + i, x + end);
+  Vector<T, N> v;
+#pragma unroll
+  for (int k = 0; k < N; ++k) v.v[k] = i + k < end ? x[(i + k) * step] : T{};
+  return v;
+}
+
+// The sum of value(pixel of each of the planes...) over a chunk.
+template <class T, class Value, class... Read>
+__device__ __forceinline__ void sum_chunk(ContrastChunk const& at, Compute<T>* to, Value value, Read const&... planes) {
+  using F = Compute<T>;
+  constexpr int N = kSummed<T>;
+  __shared__ F memory[kContrastThreads / 32];
+  F sum = 0;
+#pragma unroll 2
+  for (int i = at.begin + int(threadIdx.x) * N; i < at.end; i += kContrastThreads * N) {
+    auto const add = [&](auto const&... vectors) {
+#pragma unroll
+      for (int k = 0; k < N; ++k) sum += i + k < at.end ? value(F(read(vectors.v[k]))...) : F(0);
+    };
+    add(pixels_of(planes.plane(at.plane), planes.step, i, at.end)...);
+  }
+  sum = block_sum_to_all(sum, memory);
+  if (threadIdx.x == 0) *to = sum;
+}
+
+// The sum of the chunks of a plane, to all threads.
+template <class F>
+__device__ __forceinline__ F sum_of_chunks(F const* partial, int64_t chunks) {
+  __shared__ F memory[kContrastThreads / 32];
+  F sum = 0;
+  for (int64_t i = threadIdx.x; i < chunks; i += kContrastThreads) sum += partial[i];
+  return block_sum_to_all(sum, memory);
+}
+
+// The mean of a plane, by the sums of all chunks.
+template <class T, class F>
+__device__ __forceinline__ F mean_of_plane(Planes<T const> const& x, F const* partial, int64_t plane) {
+  int64_t const chunks = contrast_chunks(x.width);
+  return sum_of_chunks(partial + plane * chunks, chunks) / F(x.width);
+}
+
+template <class T>
+__device__ __forceinline__ void sum_pixels(Planes<T const> const& x, Compute<T>* partial, unsigned block) {
+  using F = Compute<T>;
+  sum_chunk<T>({block, contrast_chunks(x.width), x.width}, partial + block, [](F x) { return x; }, x);
+}
+
+// P: pixels of a thread's vectors.
+template <int P, class T>
+__device__ __forceinline__ void map_contrast(ChannelContrast<T> const& p, unsigned block) {
+  using F = Compute<T>;
+  int64_t const step = p.x.step;
+  ContrastChunk const at(block, contrast_chunks(p.x.width), p.x.width);
+  F const mean = mean_of_plane(p.x, p.partial, at.plane);
+  T const* const x = p.x.plane(at.plane);
+  T* const y = p.y.plane(at.plane);
+  AlignedBody<P, int> const body(x, at.begin, at.end);
+  body.for_each_peeled([&](int i) { y[i * step] = round_to<T>(p.mapped(F(read(x[i * step])), mean)); });
+#pragma unroll 4
+  for (int i = body.begin + int(threadIdx.x) * P; i < body.end; i += kContrastThreads * P) {
+    auto const own = *reinterpret_cast<Vector<T, P> const*>(x + i * step);
+    F v[P];
+#pragma unroll
+    for (int k = 0; k < P; ++k) v[k] = p.mapped(F(read(own.v[k])), mean);
+    store_vector(y + i * step, v);
+  }
+}
+
+template <class T>
+__global__ void __launch_bounds__(kContrastThreads) sum_planes(Planes<T const> x, Compute<T>* partial) {
+  sum_pixels(x, partial, blockIdx.x);
+}
+template <class T, int P>
+__global__ void __launch_bounds__(kContrastThreads) map_planes(__grid_constant__ ChannelContrast<T> const p) {
+  map_contrast<P>(p, gridDim.x - 1 - blockIdx.x);
+}
+
+// The first (P = 0) or the second launch of a list.
+template <class T, int P>
+__global__ void __launch_bounds__(kContrastThreads) contrast_of_list(__grid_constant__ ChannelContrastList<T> const p) {
+  unsigned block;
+  ChannelContrast<T> const* const one = sample_of_block(p, block);
+  if (!one) return;
+  ChannelContrast<T> flat = flat_sample(*one);
+  flat.partial += int64_t(blockIdx.x - block);
+  if constexpr (P == 0)
+    sum_pixels(flat.x, flat.partial, block);
+  else
+    map_contrast<P>(flat, block);
+}
+
+template <class T>
+__global__ void __launch_bounds__(kContrastThreads)
+    sum_gradients(__grid_constant__ ChannelContrastBackward<T> const p) {
+  using F = Compute<T>;
+  ContrastChunk const at(blockIdx.x, contrast_chunks(p.x.width), p.x.width);
+  F const mean = mean_of_plane(p.x, p.partial, at.plane);
+  sum_chunk<T>(
+      at, p.partial_grads + blockIdx.x, [&](F grad, F x) { return p.before_clamp(grad, x, mean); }, p.grad, p.x);
+}
+template <class T, int P>
+__global__ void __launch_bounds__(kContrastThreads)
+    map_gradients(__grid_constant__ ChannelContrastBackward<T> const p) {
+  using F = Compute<T>;
+  int64_t const chunks = contrast_chunks(p.x.width);
+  ContrastChunk const at(gridDim.x - 1 - blockIdx.x, chunks, p.x.width);
+  F const mean = mean_of_plane(p.x, p.partial, at.plane),
+          of_mean = sum_of_chunks(p.partial_grads + at.plane * chunks, chunks) * (1 - p.factor) / F(p.x.width);
+  T const *const x = p.x.plane(at.plane), *const grad = p.grad.plane(at.plane);
+  T* const grad_x = p.grad_x.plane(at.plane);
+  auto const gradient = [&](T const& g, T const& x) {
+    return p.before_clamp(F(read(g)), F(read(x)), mean) * p.factor + of_mean;
+  };
+  AlignedBody<P, int> const body(x, at.begin, at.end);
+  body.for_each_peeled(
+      [&](int i) { grad_x[i * p.grad_x.step] = round_to<T>(gradient(grad[i * p.grad.step], x[i * p.x.step])); });
+#pragma unroll 2
+  for (int i = body.begin + int(threadIdx.x) * P; i < body.end; i += kContrastThreads * P) {
+    auto const own = *reinterpret_cast<Vector<T, P> const*>(x + i * p.x.step);
+    auto const grads = *reinterpret_cast<Vector<T, P> const*>(grad + i * p.grad.step);
+    F v[P];
+#pragma unroll
+    for (int k = 0; k < P; ++k) v[k] = gradient(grads.v[k], own.v[k]);
+    store_vector(grad_x + i * p.grad_x.step, v);
+  }
+}
+
+}  // namespace
+
+template <class T>
+int channel_contrast(ChannelContrast<T> const& p, CUstream_st* stream) {
+  unsigned const blocks = unsigned(p.x.count() * contrast_chunks(p.x.width));
+  sum_planes<T><<<blocks, kContrastThreads, 0, stream>>>(p.x, p.partial);
+  with_row_vectors<kMapped<T>>(are_equally_aligned<kMapped<T>>(p.x, p.y), [&](auto pixels) {
+    map_planes<T, pixels.value><<<blocks, kContrastThreads, 0, stream>>>(p);
+  });
+  return cudaGetLastError();
+}
+
+template <class T>
+int channel_contrast_list(ChannelContrastList<T> const& p, CUstream_st* stream) {
+  bool const aligned = all_samples(p, [](ChannelContrast<T> const& one) {
+    ChannelContrast<T> const flat = flat_sample(one);
+    return are_equally_aligned<kMapped<T>>(flat.x, flat.y);
+  });
+  return launch_list(
+      p, [&](ChannelContrast<T> const& one) { return p.channels * contrast_chunks(one.x.height * one.x.width); },
+      [&](ChannelContrastList<T> const& list, unsigned blocks) {
+        contrast_of_list<T, 0><<<blocks, kContrastThreads, 0, stream>>>(list);
+        with_row_vectors<kMapped<T>>(aligned, [&](auto pixels) {
+          contrast_of_list<T, pixels.value><<<blocks, kContrastThreads, 0, stream>>>(list);
+        });
+      });
+}
+
+template <class T>
+int channel_contrast_backward(ChannelContrastBackward<T> const& p, CUstream_st* stream) {
+  constexpr int P = kMapped<T>;
+  unsigned const blocks = unsigned(p.x.count() * contrast_chunks(p.x.width));
+  sum_planes<T><<<blocks, kContrastThreads, 0, stream>>>(p.x, p.partial);
+  sum_gradients<T><<<blocks, kContrastThreads, 0, stream>>>(p);
+  with_row_vectors<P>(are_equally_aligned<P>(p.x, p.grad) && are_equally_aligned<P>(p.x, p.grad_x),
+                      [&](auto pixels) { map_gradients<T, pixels.value><<<blocks, kContrastThreads, 0, stream>>>(p); });
+  return cudaGetLastError();
+}
+
+KV_INSTANTIATE_WITH_BYTES(channel_contrast, ChannelContrast)
+KV_INSTANTIATE_WITH_BYTES(channel_contrast_list, ChannelContrastList)
+KV_INSTANTIATE(channel_contrast_backward, ChannelContrastBackward)
+
+}  // namespace kv::enhance::cuda

@@ -149,6 +149,7 @@ __device__ __forceinline__ void correlate_tile(Filter2d<T> const& p, Tiles const
     correlate(window + row * tiles.pitch, tiles.pitch, weights, ky, kx, sums);
     if (is_volume) for_each_border_pixel([&](int i, int x, int y) { border_sums[i] += border_sum(weights, x, y); });
   });
+  bool const clamps = sizeof(T) > 1 && p.clamps;
 #pragma unroll
   for (int o = 0; o < kDown; ++o) {
     if (y0 + row + o >= height) break;
@@ -156,7 +157,7 @@ __device__ __forceinline__ void correlate_tile(Filter2d<T> const& p, Tiles const
 #pragma unroll
     for (int i = 0; i < kAcross; ++i) {
       int const x = x0 + 32 * i + lane;
-      if (x < width) out[x * step] = round_to<T>(sums[o][i]);
+      if (x < width) out[x * step] = round_to<T>(clamps ? p.clamped(sums[o][i]) : sums[o][i]);
     }
   }
   if (!accumulates) return;
@@ -233,7 +234,7 @@ __device__ __forceinline__ void correlate_any(Filter2d<T> const& p, unsigned blo
                [&](int kx, int from_x) { sum += weights[kx] * read(from[from_x * step]); });
     });
   });
-  p.y.row(plane, y)[e] = round_to<T>(sum);
+  p.y.row(plane, y)[e] = round_to<T>(sizeof(T) > 1 && p.clamps ? p.clamped(sum) : sum);
 }
 
 template <class T>

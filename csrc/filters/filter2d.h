@@ -30,10 +30,16 @@ struct Filter2d {
   KernelAxis axis_z, axis_y, axis_x;
   bool flip;
   Border border, accumulation;  // accumulation: of the result's border; constant for none
+  bool clamps;                  // results to [0, 1]; bytes always are to theirs
 
   KV_HD int taps() const { return axis_z.size * axis_y.size * axis_x.size; }
   KV_HD Compute<T> const* kernel_of(int64_t plane) const { return kernel + plane / sample_planes * kernel_stride; }
   KV_HD void select(int64_t sample) { kernel += sample * kernel_stride; }
+  template <class V>
+  KV_HD V clamped(V const& x) const {
+    V const zero = V{}, one = V{} + Compute<T>(1), above = x < zero ? zero : x;  // NaN stays
+    return above > one ? one : above;
+  }
 };
 
 // Of images.

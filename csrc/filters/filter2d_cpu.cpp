@@ -254,11 +254,12 @@ void filter2d(Filter2d<T> const& p, int64_t begin, int64_t end) {
     merge(y, count, left, right, true);
     accumulate_rows(-above, 0);
     accumulate_rows(height, height + below);
-    if (!direct)
+    if (!direct || p.clamps)
       for (int64_t o = 0; o < count; ++o)
         for_each_vector<T>(0, width * step, [&](auto lanes, int64_t e) {
           constexpr int N = decltype(lanes)::value;
-          store<N>(p.y.row(plane, y + o) + e, load<N>(sums + o * sum_stride + e));
+          Lanes<F, N> const v = load<N>(out + o * out_stride + e);
+          store<N>(p.y.row(plane, y + o) + e, p.clamps ? p.clamped(v) : v);
         });
     r += count;
   }

@@ -61,7 +61,7 @@ int depth_of(Tensor const& x) { return is_image(x) ? 1 : int(x.size(2)); }
 
 // The filtered input, of `sizes`; transposed: the gradient to the filter's input from that to its output.
 Tensor filter(char const* op, Tensor const& input, Tensor const& kernel, std::vector<int64_t> const& sizes,
-              Window const& window, bool transposed) {
+              Window const& window, bool transposed, bool clamps = false) {
   check_weights(op, kernel, input);
   Layout const layout = readable_layout(input);
   Tensor const x = readable(input, layout), y = empty(sizes, x, layout),
@@ -82,6 +82,7 @@ Tensor filter(char const* op, Tensor const& input, Tensor const& kernel, std::ve
     p.flip = transposed;
     p.border = accumulates ? Border::constant : window.border;
     p.accumulation = accumulates ? window.border : Border::constant;
+    p.clamps = clamps && sizeof(T) > 1;
     KV_RUN(filter2d, x, p, p.y.rows(), p.y.row_size() * (1 + p.taps() / 4));
   });
   return y;
@@ -138,6 +139,12 @@ Tensor kernel_backward(char const* op, int64_t axes, Tensor const& kernel, Tenso
   return grad_kernel;
 }
 
+Tensor filter2d_clamped(Tensor const& input, Tensor const& kernel, int64_t border) {
+  constexpr char const* op = "filter2d_clamped";
+  std::vector<int64_t> const sizes = sizes_with(op, input, 2, kernel, 0);
+  return filter(op, input, kernel, sizes, Window(op, kernel, sizes, border, true), false, true);
+}
+
 #define KV_FILTER(axes, name, backward_name, kernel_backward_name)                                           \
   Tensor name(Tensor const& input, Tensor const& kernel, int64_t border, bool same) {                        \
     return filter_forward(#name, axes, input, kernel, border, same);                                         \
@@ -154,6 +161,8 @@ KV_FILTER(3, filter3d, filter3d_backward, filter3d_kernel_backward)
 
 }  // namespace
 
+// The same as filter2d, clamped to [0, 1].
+KV_OPERATOR(filter2d_clamped, "(Tensor input, Tensor kernel, int border) -> Tensor")
 KV_OPERATOR(filter2d, "(Tensor input, Tensor kernel, int border, bool same) -> Tensor")
 KV_OPERATOR(filter2d_backward, "(Tensor grad, Tensor kernel, int border, bool same) -> Tensor")
 KV_OPERATOR(filter2d_kernel_backward, "(Tensor kernel, Tensor grad, Tensor input, int border, bool same) -> Tensor")

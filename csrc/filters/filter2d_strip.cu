@@ -140,6 +140,10 @@ __device__ __forceinline__ void correlate_strip(Filter2d<T> const& p, Strips<P> 
       if (y < 0) continue;
     }
     if (y < y0) continue;
+    if constexpr (!Accumulates && sizeof(T) > 1)
+      if (p.clamps)
+#pragma unroll
+        for (int j = 0; j < P; ++j) updated[0][j] = p.clamped(updated[0][j]);
     store_pixels(row_at(out, to, out_stride), updated[0], x, width, aligned);
   }
 }

@@ -7,6 +7,7 @@ import scipy.ndimage
 import torch
 
 import kvision as K
+from kvision.filters.filter2d import filter2d_clamped, filter_arguments
 from op_tests import OpTests, assert_close
 
 BORDERS = ("constant", "reflect", "replicate", "circular")
@@ -116,3 +117,34 @@ class TestFilter2d(OpTests):
         w = torch.rand(1, 3, 3, device=device, requires_grad=True)
         K.filters.filter2d(x, w, "constant").sum().backward()
         assert w.grad[..., 0].isfinite().all() and w.grad[..., 1:].isnan().all()
+
+
+class TestClamped(OpTests):
+    """Results clamped to [0, 1] where they are stored."""
+
+    operators = ("filter2d_clamped", "filter2d", "filter2d_backward", "filter2d_kernel_backward")
+    bytes = True
+    variants = [
+        {"kernel": kernel(3, 3), "border_type": "reflect"},
+        {"kernel": kernel(5, 5, shared=False), "border_type": "replicate"},
+        {"kernel": kernel(7, 7), "border_type": "circular"},
+        {"kernel": kernel(9, 13, shared=False), "border_type": "constant"},
+    ]
+    small = (1, 2, 8, 7)
+    tolerances = {torch.float32: (2e-5, 2e-5), torch.uint8: (0, 1)}  # the definition has no bytes
+
+    @staticmethod
+    def function(x, kernel, border_type):
+        x, weights, border, _ = filter_arguments("filter2d", x, kernel, border_type)
+        return filter2d_clamped(x, weights, border)
+
+    def test_wrong_kinds(self, variant, device):
+        pytest.skip("the class that calls the operator checks its input")
+
+    @pytest.mark.parametrize("dtype", [torch.float16, torch.float32, torch.float64, torch.uint8], ids=str)
+    @pytest.mark.parametrize("size", [3, 7, 9])
+    def test_values_are_those_of_the_filter(self, size, dtype, device):
+        most = 255 if dtype == torch.uint8 else 1
+        x = (torch.rand(2, 3, 40, 131, device=device) * (200 if most > 1 else 1)).to(dtype)
+        x, weights, border, _ = filter_arguments("filter2d", x, torch.randn(1, size, size, device=device))
+        assert torch.equal(filter2d_clamped(x, weights, border), K.filters.filter2d(x, weights).clamp(0, most))

@@ -115,7 +115,7 @@ Tensors box_blur_backward_list(Tensors const& grads, OptionalTensor const& chose
 
 // Kernels (B or 1, y, x) of the type that is computed in.
 Tensors filter_list(char const* op, Tensors const& images, OptionalTensor const& chosen, Tensor const& kernel,
-                    int64_t border_number, bool same, bool transposed) {
+                    int64_t border_number, bool same, bool transposed, bool clamps = false) {
   ListedImages const list(op, images, chosen);
   Tensor const& like = list.like();
   KV_CHECK(same, op, ": expected results of the sizes of the images");
@@ -141,6 +141,7 @@ Tensors filter_list(char const* op, Tensors const& images, OptionalTensor const&
     all.flip = transposed;
     all.border = accumulates ? Border::constant : border;
     all.accumulation = accumulates ? border : Border::constant;
+    all.clamps = clamps && sizeof(T) > 1;
     list.filter<filters::Filter2dList<T>>(all, 1 + ky * kx / 4,
                                           [&](auto const& p, int64_t cost) { filters::run(like, p, cost); });
   });
@@ -150,6 +151,10 @@ Tensors filter_list(char const* op, Tensors const& images, OptionalTensor const&
 Tensors filter2d_list(Tensors const& images, OptionalTensor const& chosen, Tensor const& kernel, int64_t border,
                       bool same) {
   return filter_list("filter2d_list", images, chosen, kernel, border, same, false);
+}
+Tensors filter2d_clamped_list(Tensors const& images, OptionalTensor const& chosen, Tensor const& kernel,
+                              int64_t border) {
+  return filter_list("filter2d_clamped_list", images, chosen, kernel, border, true, false, true);
 }
 Tensors filter2d_backward_list(Tensors const& grads, OptionalTensor const& chosen, Tensor const& kernel, int64_t border,
                                bool same) {
@@ -195,6 +200,7 @@ KV_OPERATOR(gaussian_blur2d_list, "(Tensor[] images, " KV_GAUSSIAN)
 KV_OPERATOR(gaussian_blur2d_backward_list, "(Tensor[] grads, " KV_GAUSSIAN)
 #undef KV_GAUSSIAN
 KV_OPERATOR(filter2d_list, "(Tensor[] images, Tensor? chosen, Tensor kernel, int border, bool same) -> Tensor[]")
+KV_OPERATOR(filter2d_clamped_list, "(Tensor[] images, Tensor? chosen, Tensor kernel, int border) -> Tensor[]")
 KV_OPERATOR(filter2d_backward_list,
             "(Tensor[] grads, Tensor? chosen, Tensor kernel, int border, bool same) -> Tensor[]")
 KV_OPERATOR(box_blur_list, "(Tensor[] images, Tensor? chosen, int ky, int kx, int border) -> Tensor[]")

@@ -59,6 +59,9 @@ inline constexpr Operator<"spatial_gradient", Tensor(Tensor input, int64_t mode,
 
 // --- filters/filter2d_op.cpp
 
+// The same as filter2d, clamped to [0, 1].
+inline constexpr Operator<"filter2d_clamped", Tensor(Tensor input, Tensor kernel, int64_t border)> filter2d_clamped{
+    detail::rules::filter2d_clamped};
 inline constexpr Operator<"filter2d", Tensor(Tensor input, Tensor kernel, int64_t border, bool same)> filter2d{
     Rule{detail::filter2d_gradients}};
 inline constexpr Operator<"filter3d", Tensor(Tensor input, Tensor kernel, int64_t border, bool same)> filter3d{

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._choices import Behaviour, Border, WindowPadding
+from kvision._clamp import clamp
 from kvision._dtype import as_dtype, compute_dtype, pixels
 from kvision._modes import BORDER, BORDER_NAMES
 from kvision._ops import Operator, register
@@ -88,6 +89,25 @@ def register_filter(name: str, bytes: bool = False) -> tuple[Operator, Operator,
 
 
 _filter2d, _filter2d_backward, _kernel_backward = register_filter("filter2d", bytes=True)
+
+
+def _clamped_reference(x: Tensor, kernel: Tensor, border: int) -> Tensor:
+    return clamp(_reference(x, kernel, border, True), 0, 1)
+
+
+def clamped_gradients(
+    needs: Sequence[bool], grad: Tensor, x: Tensor, kernel: Tensor, border: int
+) -> list[Tensor | None]:
+    """Those of images and kernels that :func:`filter2d_clamped` filters."""
+    y = _filter2d(as_dtype(x, compute_dtype(x)), kernel, border, True)
+    grad = torch.where((y < 0) | (y > 1), 0, grad)
+    return [
+        _filter2d_backward(grad, kernel, border, True) if needs[0] else None,
+        _kernel_backward(kernel, grad, x, border, True).sum_to_size(kernel.shape) if needs[1] else None,
+    ]
+
+
+filter2d_clamped = register("filter2d_clamped", _clamped_reference, backward=clamped_gradients, bytes=True, levels=255)
 
 
 def filter2d(

@@ -33,6 +33,7 @@ MAKE = {
     "pixelate": lambda **o: A.CommonCorruption("pixelate", 3, **o),
     "common frost": lambda **o: A.CommonCorruption("frost", 3, FROST, **o),
     "common contrast": lambda **o: A.CommonCorruption("contrast", 3, **o),
+    "ringing": lambda **o: A.RingingOvershoot((3, 9), **o),
     "common fog": lambda **o: A.CommonCorruption("fog", 3, **o),
     "common codec": lambda **o: A.CommonCorruption("jpeg_compression", 3, **o),
     "glass": lambda **o: A.CommonCorruption("glass_blur", 3, **o),
@@ -51,7 +52,7 @@ def test_each_image_gets_what_it_gets_alone(name, dtype, device):
     is_byte = dtype == torch.uint8
     if dtype == torch.float64 and name in NOISES:
         pytest.skip("float64 has the noise of float32 images, a call for each size")
-    images = pictures(device, SMALL if name in ("lens", "rain") else [*SMALL, (1, 9), (7, 1)], dtype)
+    images = pictures(device, SMALL if name in ("lens", "rain", "ringing") else [*SMALL, (1, 9), (7, 1)], dtype)
     seeds = seeds_of(images)
     for given in (images, [x.permute(1, 2, 0).contiguous().permute(2, 0, 1) for x in images]):
         given = given if is_byte else [x.requires_grad_() for x in given]

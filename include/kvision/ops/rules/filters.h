@@ -53,6 +53,13 @@ inline constexpr Rule bilateral_blur{
     },
     2};
 
+inline constexpr Rule filter2d_clamped{[](Backward const& b) -> variable_list {
+  Tensor const y = b.call("filter2d", {{"same", true}})[0];
+  Tensor const grad = b.grad().masked_fill((y < 0).logical_or(y > 1), 0);
+  return {b.needs(0) ? b.call("filter2d_backward", {{"grad", grad}, {"same", true}})[0] : Tensor(),
+          b.needs(1) ? b.call("filter2d_kernel_backward", {{"grad", grad}, {"same", true}})[0] : Tensor()};
+}};
+
 // Of filter2d_separable (input, kernels) and its transpose (grad, kernels).
 inline constexpr Rule filter2d_separable{[](Backward const& b) -> variable_list {
   bool const is_transpose = name_of(b.op) == "filter2d_separable_backward";

@@ -10,7 +10,6 @@ import torch
 from torch import Tensor
 
 from kvision import _check
-from kvision._clamp import clamp
 from kvision._dtype import compute_dtype
 from kvision.augmentation import ranges
 from kvision.augmentation.corruption.disk import disk_kernels
@@ -23,7 +22,7 @@ from kvision.augmentation.lists.sides import sides_of
 from kvision.augmentation.random_generator.mapped import MappedGenerator
 from kvision.augmentation.ranges import Numbers
 from kvision.core.exceptions import ValueCheckError
-from kvision.filters.filter2d import filter2d, filter_arguments
+from kvision.filters.filter2d import filter_arguments
 from kvision.geometry.transform.lists.arguments import smallest_batch
 from kvision.geometry.transform.lists.kept_sizes import Operation, Operations
 
@@ -140,17 +139,21 @@ class RingingOvershoot(IntensityAugmentationBase2D, keeps_contract=True):
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
-        side, cutoff = (
-            params[name].to(input.device, compute_dtype(input))[:, None, None] for name in ("blur", "cutoff")
-        )
-        at = torch.arange(-self._reach, self._reach + 1, device=input.device, dtype=cutoff.dtype)
+        return self._operation(input, params)(input)
+
+    filters_chosen = True
+
+    def _operation(self, like: Tensor, params: Params) -> Operation:
+        own = compute_dtype(like)
+        side, cutoff = (params[name].to(like.device, own)[:, None, None] for name in ("blur", "cutoff"))
+        at = torch.arange(-self._reach, self._reach + 1, device=like.device, dtype=own)
         y, x = at[:, None], at
         radius = (y * y + x * x).sqrt()
         wave = torch.special.bessel_j1(cutoff * radius) / (2 * math.pi * radius)
         taps = torch.where(radius == 0, cutoff / (4 * math.pi), wave)
         taps = taps * (torch.maximum(y.abs(), x.abs()) <= (side - 1) / 2)
-        y = filter2d(input, taps / taps.sum((1, 2), keepdim=True))
-        return y if y.dtype == torch.uint8 else clamp(y, 0, 1)
+        _, *arguments, _ = filter_arguments("filter2d", like, taps / taps.sum((1, 2), keepdim=True))
+        return Operation(filter_lists.filter2d_clamped, tuple(arguments))
 
 
 class ZoomBlur(IntensityAugmentationBase2D, keeps_contract=True):

@@ -10,7 +10,7 @@ from torch import Tensor
 from kvision._ops import Operator
 from kvision.enhance.sharpness import _sharpness as sharpness
 from kvision.filters.filter2d import _filter2d as filter2d
-from kvision.filters.filter2d import _filter2d_backward, _kernel_backward
+from kvision.filters.filter2d import _filter2d_backward, _kernel_backward, clamped_gradients, filter2d_clamped
 from kvision.filters.smoothing import box, gaussian, median
 from kvision.geometry.transform.lists.arguments import row
 from kvision.geometry.transform.lists.kept_sizes import register_filter
@@ -53,6 +53,12 @@ _register_filter(
 _register_filter("filter2d_list", filter2d, _filter2d_backward, _of_kernel)
 _register_filter(
     "filter2d_backward_list", _filter2d_backward, filter2d, lambda grad, x, *args: _of_kernel(x, grad, *args)
+)
+register_filter(
+    "filter2d_clamped_list",
+    filter2d_clamped,
+    lambda b, kernel, border: (row(kernel, b), border),
+    clamped_gradients,
 )
 register_filter("median_blur_list", median_blur, lambda b, *window: window, _of_median)
 register_filter(

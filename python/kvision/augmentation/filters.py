@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
@@ -25,12 +25,14 @@ from kvision.augmentation.random_generator.filters import (
 )
 from kvision.augmentation.random_generator.plain import PlainUniformGenerator
 from kvision.augmentation.ranges import Numbers
+from kvision.augmentation.sample_rows import read_rows
 from kvision.constants import AnyBorderType, AnyResample, BorderType, Resample
 from kvision.enhance.batch import as_batch, colors
 from kvision.filters.smoothing.box import box_arguments
 from kvision.filters.smoothing.gaussian import blur_arguments
 from kvision.filters.smoothing.motion import motion_arguments
-from kvision.geometry.transform.lists.kept_sizes import Operation
+from kvision.geometry.transform.lists.arguments import smallest_batch
+from kvision.geometry.transform.lists.kept_sizes import Operation, OperationsOfSome
 
 __all__ = [
     "RandomAutoContrast",
@@ -196,6 +198,7 @@ class DrawnKernelSize(AugmentationBase):
     """A blur whose kernel size is drawn for the batch, or for each sample by its seed."""
 
     _param_generator: MotionBlurGenerator
+    draws_for_batch = True
 
     def _named(self, values: Tensor, execution: Execution) -> Params:
         params = super()._named(values, execution)
@@ -209,6 +212,12 @@ class DrawnKernelSize(AugmentationBase):
         if is_drawn and not for_users and x.is_cuda and not self._param_generator._has_one_size and len(x) > 0:
             params["ksize_factor"] = self._named(self._values_on_host(execution), execution)["ksize_factor"]
         return params
+
+    def _keep_size(self, execution: Execution, size: int) -> None:
+        """Let the columns of all images say what size the batch got, as those of some are read later."""
+        redraw = execution.redraw
+        if execution.columns is not None and not (redraw is None or redraw[0].seeds is not None):
+            execution.columns.values[:, 0] = size
 
     def _blurred(self, input: Tensor, params: Params, blur: Callable[[Tensor, int, Tensor, Tensor], Tensor]) -> Tensor:
         """Images blurred by `blur`, all samples of a size at once."""
@@ -277,15 +286,28 @@ class RandomMotionBlur(DrawnKernelSize, IntensityAugmentationBase2D, keeps_contr
 
     filters_chosen = True
 
-    def _operates_on(self, dtype: torch.dtype) -> bool:
-        return self._param_generator._has_one_size and super()._operates_on(dtype)
-
     def _operation(self, like: Tensor, params: Params) -> Operation:
-        size = self._param_generator._sizes[0]
+        (size,) = self._param_generator._sizes_on_host(params["ksize_factor"])
         line = size, params["angle_factor"], params["direction_factor"]
         mode: Any = Resample.get(self.flags["resample"]).name.lower()
         border = border_name(self.flags["border_type"])
         return Operation(filter2d, motion_arguments("RandomMotionBlur", like, *line, border, mode)[1:])
+
+    def _operation_on_list(
+        self, images: Sequence[Tensor], like: Tensor, execution: Execution
+    ) -> Operation | OperationsOfSome:
+        """One operator for the images of each kernel size that was drawn."""
+        params = self._params_on_device(like, execution, for_users=False)
+        sizes = self._param_generator._sizes_on_host(params["ksize_factor"])
+        if len(sizes) == 1:
+            self._keep_size(execution, sizes[0])
+            return self._operation(like, params)
+        each = []
+        for size in sorted(set(sizes)):
+            samples = [i for i, n in enumerate(sizes) if n == size]
+            own = {name: read_rows(x, samples) for name, x in params.items() if len(x) == len(sizes)}
+            each.append((samples, self._operation(smallest_batch([images[i] for i in samples]), own)))
+        return OperationsOfSome(each)
 
 
 class RandomSharpness(IntensityAugmentationBase2D, keeps_contract=True):

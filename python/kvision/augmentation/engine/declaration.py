@@ -60,6 +60,7 @@ class Declaration(KeepsArguments):
     axes: ClassVar[int]  # of an image with its channels: 3, of a volume: 4
     whole_batch: ClassVar[bool] = False  # the size of the result changes, so that all samples are chosen or none
     has_known_size: bool = True  # the size of the result follows from that of the images, without what is drawn
+    draws_for_batch: ClassVar[bool] = False  # a parameter is that of one sample for all, unless each has a seed
     needs_masks: ClassVar[bool] = False  # images are changed by their masks, which containers hand over
     # "boxes" or "masks" of the images, from which the generator derives columns: containers hand over those that are there by
     # then, and calls have an argument of this name.

@@ -31,7 +31,7 @@ from kvision.augmentation.samples import where_chosen
 from kvision.augmentation.warp_and_color import SAME, Output, Pass, make_pass
 from kvision.color.scale_shift import bytes_of_floats, floats_of_bytes
 from kvision.geometry.transform.lists.arguments import like_batch, smallest_batch
-from kvision.geometry.transform.lists.kept_sizes import Operation, Operations
+from kvision.geometry.transform.lists.kept_sizes import Operation, Operations, OperationsOfSome
 
 
 class CallPlan(NamedTuple):
@@ -394,7 +394,7 @@ class Executor(Declaration):
 
     def _operation_on_list(
         self, images: Sequence[Tensor], like: Tensor, execution: Execution
-    ) -> Operation | Operations:
+    ) -> Operation | Operations | OperationsOfSome:
         """The operator for a list, like a batch: that of its images, or where it depends on their sizes another one."""
         return self._operation(like, self._params_on_device(like, execution, for_users=False))
 

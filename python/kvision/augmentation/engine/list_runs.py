@@ -378,7 +378,8 @@ class _Call:
 
     def rows(self) -> list[list[int]]:
         """The numbers of the images of each size; of one by one where these tell their pixels' noise apart, or draw sizes."""
-        if self._has_noise or not all(module.has_known_size for module in self.modules):
+        draws_sizes = any(m.draws_for_batch or not m.has_known_size for m in self.modules)
+        if self._has_noise or draws_sizes:
             return [[i] for i in range(self.shape[0])]
         by_size: dict[Size, list[int]] = {}
         for i, size in enumerate(zip(self.sides[::2], self.sides[1::2])):

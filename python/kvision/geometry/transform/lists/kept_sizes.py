@@ -66,6 +66,22 @@ class Operations(NamedTuple):
         return list(images)
 
 
+class OperationsOfSome(NamedTuple):
+    """Operators on images of a list that are some of them each, by their numbers."""
+
+    each: Sequence[tuple[Sequence[int], Operation]]
+
+    def on_list(self, images: Sequence[Tensor], chosen: Tensor | None = None) -> list[Tensor]:
+        """The results of images (C, H, W) of different sizes, as those of an operation."""
+        results = list(images)
+        for samples, operation in self.each:
+            index = torch.tensor(samples, device="cpu").to(images[0].device, non_blocking=True)
+            own = None if chosen is None else chosen.index_select(0, index)
+            for i, y in zip(samples, operation.on_list([images[i] for i in samples], own)):
+                results[i] = y
+        return results
+
+
 def register_list(
     name: str,
     of: Operator,

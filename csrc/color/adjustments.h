@@ -177,6 +177,12 @@ KV_HD V scale_saturation(V const& saturation, U const& factor) {
   return clamp_max(clamp_min(saturation * factor, F(0)), F(1));
 }
 
+template <class V, class U>
+KV_HD V lighten(V const& lightness, U const& limit, U const& factor) {
+  using F = Scalar<V>;
+  return select(lightness < promote<V>(limit), clamp_max(clamp_min(lightness * factor, F(0)), F(1)), lightness);
+}
+
 // The logarithm of positive numbers, denormal ones included.
 template <class V>
 KV_HD V log2_of_denormal(V const& x) {

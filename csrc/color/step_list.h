@@ -45,4 +45,5 @@
   X(sigmoid, 27, 3, any, tensors, same, never)                  /* cutoff, gain, falling */                      \
   X(solarize, 28, 3, any, tensors, same, never)                 /* threshold, addition, whether to add */        \
   X(posterize, 29, 2, any, tensors, same, never)                /* bits, how to round to the stored type */      \
-  X(threshold, 30, 5, any, tensors, same, never)                /* threshold, above, below, keep above, below */
+  X(threshold, 30, 5, any, tensors, same, never)                /* threshold, above, below, keep above, below */ \
+  X(lightness_raw, 31, 2, rgb, tensors, same, never)            /* limit, factor of lightness below it, of HLS images */

@@ -117,6 +117,7 @@ KV_HD void run_step(Step step, P& pixels) {
                                                                 c[0] = c[0] * p[0] + c[1] * p[1] + c[2] * p[2])
         KV_PIXELS(saturation_raw, c[1] = scale_saturation(c[1], p[0]))
         KV_PIXELS(hue_raw, c[0] = rotate_hue(c[0], p[0]))
+        KV_PIXELS(lightness_raw, c[1] = lighten(c[1], p[0], p[1]))
         default:
           break;
       }

@@ -64,4 +64,5 @@ inline constexpr char const* kWarpFormulas[] = {"",
   linear_rgb_to_rgb = 6, rgb_to_lab = 7, lab_to_rgb = 8, rgb_to_luv = 9, luv_to_rgb = 10, luma_u8_fixed_point = 11, \
   hsv_u8 = 12, weighted_sum = 13, luma_u8 = 14, scale_shift_rgb = 15, standardize_rgb = 16, saturation = 17,        \
   saturation_raw = 18, saturation_gray = 19, hue = 20, hue_raw = 21, contrast = 22, scale_shift = 23,               \
-  standardize = 24, gamma = 25, log = 26, sigmoid = 27, solarize = 28, posterize = 29, threshold = 30
+  standardize = 24, gamma = 25, log = 26, sigmoid = 27, solarize = 28, posterize = 29, threshold = 30,              \
+  lightness_raw = 31

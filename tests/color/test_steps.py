@@ -49,6 +49,7 @@ NUMBERS = {
     "solarize": 28,
     "posterize": 29,
     "threshold": 30,
+    "lightness_raw": 31,
 }
 
 

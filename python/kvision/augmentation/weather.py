@@ -8,18 +8,16 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from kvision import _check
-from kvision._clamp import clamp
 from kvision._dtype import compute_dtype
 from kvision.augmentation.corruption.layer import layered
 from kvision.augmentation.corruption.layer_base import LayerAugmentation
 from kvision.augmentation.corruption.rain import rain_mask
-from kvision.augmentation.engine import Execution, Params
+from kvision.augmentation.engine import Execution, Params, Shape
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
 from kvision.augmentation.random_generator.plain import PlainUniformGenerator
 from kvision.augmentation.random_generator.weather import RainGenerator
 from kvision.augmentation.ranges import Numbers
-from kvision.color.hls import hls_to_rgb, rgb_to_hls
+from kvision.augmentation.warp_and_color import ColorStep
 from kvision.core.exceptions import ShapeError
 from kvision.geometry.transform.lists.arguments import sizes
 from kvision.geometry.transform.lists.kept_sizes import Operation
@@ -104,8 +102,6 @@ class RandomSnow(IntensityAugmentationBase2D, keeps_contract=True):
         tensor([0.5000, 0.5000, 0.5000])
     """
 
-    accepts_bytes = False
-
     def __init__(
         self,
         snow_coefficient: Numbers = (0.5, 0.5),
@@ -123,14 +119,7 @@ class RandomSnow(IntensityAugmentationBase2D, keeps_contract=True):
             op="RandomSnow",
         )
 
-    def apply_transform(
-        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
-    ) -> Tensor:
-        if input.shape[1] != 3:
-            raise ShapeError(
-                f"RandomSnow: expected images with 3 channels, got {tuple(input.shape)}{_check.channels_advice(input.shape)}"
-            )
-        hue, lightness, saturation = rgb_to_hls(clamp(input, 0, 1)).unbind(1)
-        limit, factor = (params[name].to(input.dtype)[:, None, None] for name in ("snow_coefficient", "brightness"))
-        lighter = torch.where(lightness < limit, clamp(lightness * factor, 0, 1), lightness)
-        return clamp(hls_to_rgb(torch.stack([hue, lighter, saturation], 1)), 0, 1)
+    def color_steps(self, shape: Shape, flags: dict[str, Any]) -> Sequence[ColorStep]:
+        clamped = ColorStep("scale_shift", 1.0, 0.0, 1.0)
+        lightened = ColorStep("lightness_raw", "snow_coefficient", "brightness")
+        return [clamped, ColorStep("rgb_to_hls", 1e-8), lightened, ColorStep("hls_to_rgb"), clamped]

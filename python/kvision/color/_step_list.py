@@ -35,4 +35,5 @@ STEP_LIST = {
     "solarize": (28, 3, "any", "tensors", "same", "never"),
     "posterize": (29, 2, "any", "tensors", "same", "never"),
     "threshold": (30, 5, "any", "tensors", "same", "never"),
+    "lightness_raw": (31, 2, "rgb", "tensors", "same", "never"),
 }

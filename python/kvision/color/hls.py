@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._clamp import clamp
 from kvision._leading import apply_on_batch
 from kvision._modules import FunctionModule
 from kvision.color.codes import are_codes, decoder, encoder, of_rgb, values
@@ -29,6 +30,14 @@ def _inverse(x: Tensor) -> Tensor:
     return (lightness + half_chroma)[:, None] - 2 * half_chroma[:, None] * lack(h)
 
 
+def _lighten(x: Tensor, limit: float | Tensor, factor: float | Tensor) -> Tensor:
+    """HLS images with lightness below a limit times a factor, clamped to [0, 1]."""
+    hue, lightness, saturation = x.split(1, 1)
+    lighter = torch.where(lightness < limit, clamp(lightness * factor, 0, 1), lightness)
+    return torch.cat([hue, lighter, saturation], 1)
+
+
+step("lightness_raw", _lighten)  # of programs alone
 _rgb_to_hls = step("rgb_to_hls", _reference)
 _hls_to_rgb = step("hls_to_rgb", _inverse)
 _CODES = (180 / math.tau, 255.0, 255.0), (0.0, 0.0, 0.0)  # the scale and the offset of OpenCV's bytes

@@ -34,6 +34,7 @@ MAKE = {
     "common frost": lambda **o: A.CommonCorruption("frost", 3, FROST, **o),
     "common contrast": lambda **o: A.CommonCorruption("contrast", 3, **o),
     "ringing": lambda **o: A.RingingOvershoot((3, 9), **o),
+    "snow": lambda **o: A.RandomSnow((0.4, 0.6), (1.2, 2.0), **o),
     "common fog": lambda **o: A.CommonCorruption("fog", 3, **o),
     "common codec": lambda **o: A.CommonCorruption("jpeg_compression", 3, **o),
     "glass": lambda **o: A.CommonCorruption("glass_blur", 3, **o),

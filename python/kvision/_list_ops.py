@@ -35,7 +35,8 @@ Results = Sequence[Tensor]
 
 
 class ListOperator:
-    """An operator on a list of images or gradients, then tensors, each one for all samples or with a row for each, then numbers.
+    """An operator on a list of images or gradients, then tensors, each one for all samples or with a row for each, then numbers
+    and lists of tensors without gradients.
 
     Args:
         name: name of the operator, `torch.ops.kvision.<name>`.
@@ -72,7 +73,7 @@ class ListOperator:
         self.tensors = 0  # besides those of the list
         if self.kernel is not None:
             types = [str(a.type) for a in schema_of(self.kernel).arguments]
-            self.tensors = sum("Tensor" in t for t in types) - 1
+            self.tensors = sum("Tensor" in t and "List" not in t for t in types)
             qualified = f"kvision::{name}"
             torch.library.register_fake(qualified, fake)
             torch.library.register_vmap(qualified, self._refuse_vmap)

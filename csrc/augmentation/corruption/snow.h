@@ -3,6 +3,7 @@
 #pragma once
 
 #include "color/luma.h"
+#include "core/image_list.h"
 #include "core/isa.h"
 
 namespace kv::augmentation {
@@ -49,6 +50,44 @@ struct AddSnow {
   }
 };
 
+// An image of a list, without gaps between its rows, its result and its flakes.
+struct ListedSnow {
+  void const* x;
+  void* y;
+  void const* flakes;
+  int height, width;
+  int first;  // of its items
+};
+
+// `all` is what the samples have in common. Those that are not chosen are copied.
+template <class T>
+struct AddSnowList {
+  AddSnow<T> all;
+  int count, items;
+  bool interleaved;
+  float const* chosen;  // (B,), 0 for samples that are not chosen; null: all are
+  int64_t chosen_stride;
+  ListedSnow listed[kMaxListed];
+
+  KV_HD bool copies(int b) const { return chosen && chosen[b * chosen_stride] == 0; }
+  KV_HD int sample_of(int item) const {
+    return entry_of_item(count, item, [&](int i) { return listed[i].first; });
+  }
+  KV_HD AddSnow<T> sample(int b) const {
+    ListedSnow const& own = listed[b];
+    AddSnow<T> one = all;
+    one.x = static_cast<T const*>(own.x), one.y = static_cast<T*>(own.y);
+    one.flakes = static_cast<Compute<T> const*>(own.flakes);
+    one.batch = 1, one.height = own.height, one.width = own.width;
+    int64_t const width = own.width, channels = all.channels,
+                  strides[] = {0, interleaved ? 1 : own.height * width, interleaved ? width * channels : width,
+                               interleaved ? channels : 1};
+    for (int i = 0; i < 4; ++i) one.x_strides[i] = one.y_strides[i] = strides[i];
+    return one;
+  }
+};
+
 KV_KERNEL(add_snow, AddSnow)
+KV_KERNEL(add_snow_list, AddSnowList)
 
 }  // namespace kv::augmentation

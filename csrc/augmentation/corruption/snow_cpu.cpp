@@ -21,6 +21,28 @@ void add_snow(AddSnow<T> const& p, int64_t begin, int64_t end) {
   }
 }
 
+// An item is some rows of a sample.
+template <class T>
+void add_snow_list(AddSnowList<T> const& p, int64_t begin, int64_t end) {
+  for (int b = p.sample_of(int(begin)); begin < end; ++b) {
+    AddSnow<T> const one = p.sample(b);
+    int64_t const first = p.listed[b].first, next = b + 1 < p.count ? p.listed[b + 1].first : p.items,
+                  last = min(end, next), rows = rows_of_item(one.width), from = (begin - first) * rows,
+                  to = min((last - first) * rows, one.height);
+    if (!p.copies(b))
+      KV_ISA::add_snow(one, from, to);
+    else
+      for (int64_t row = from; row < to; ++row)
+        for (int64_t c = 0; c < one.channels; ++c)
+          for (int64_t i = 0; i < one.width; ++i) {
+            int64_t const at = row * one.x_strides[2] + c * one.x_strides[1] + i * one.x_strides[3];
+            one.y[at] = one.x[at];
+          }
+    begin = last;
+  }
+}
+
 KV_INSTANTIATE_WITH_BYTES(add_snow, AddSnow)
+KV_INSTANTIATE_WITH_BYTES(add_snow_list, AddSnowList)
 
 }  // namespace kv::augmentation::KV_ISA

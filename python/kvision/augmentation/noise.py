@@ -372,10 +372,17 @@ class PixelNoise(NamedTuple):
 
     def uniform_list(self, shapes: Sequence[Sequence[int]], map: int = 0) -> list[Tensor]:
         """The same of the samples of a list, of a shape (C, H, W) each."""
+        return self._of_list(uniform_noise, shapes, map, UNIT)
+
+    def normal_list(self, shapes: Sequence[Sequence[int]], map: int = 0) -> list[Tensor]:
+        """Standard normal noise of the samples of a list, of a shape (C, H, W) each, float32."""
+        return self._of_list(gaussian_noise, shapes, map, 0)
+
+    def _of_list(self, operator: Operator, shapes: Sequence[Sequence[int]], map: int, form: int) -> list[Tensor]:
         counts = [math.prod(shape) for shape in shapes]
         zero = torch.zeros(sum(counts), dtype=torch.float32, device=self.device)
         zeros = [part.view(*shape) for part, shape in zip(zero.split(counts), shapes)]
-        return Operation(uniform_noise, (constant(((0.0, 1.0),), zero), *self.arguments(map, UNIT))).on_list(zeros)
+        return Operation(operator, (constant(((0.0, 1.0),), zero), *self.arguments(map, form))).on_list(zeros)
 
     def symmetric(self, shape: Sequence[int], map: int = 0) -> Tensor:
         """Uniform noise (B, C, H, W) in [-1, 1], float32."""

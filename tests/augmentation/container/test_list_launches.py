@@ -25,7 +25,7 @@ BY_SIZE = {
 # The same of the names of CommonCorruption.
 CORRUPTIONS_BY_SIZE = {
     "a blur whose window grows with the image": {"elastic_transform"},
-    "drops, stains and flakes in a layer of each size": {"snow", "spatter"},
+    "drops and stains in a layer of each size": {"spatter"},
 }
 
 

@@ -35,13 +35,14 @@ MAKE = {
     "common contrast": lambda **o: A.CommonCorruption("contrast", 3, **o),
     "ringing": lambda **o: A.RingingOvershoot((3, 9), **o),
     "snow": lambda **o: A.RandomSnow((0.4, 0.6), (1.2, 2.0), **o),
+    "common snow": lambda **o: A.CommonCorruption("snow", 2, **o),
     "common fog": lambda **o: A.CommonCorruption("fog", 3, **o),
     "common codec": lambda **o: A.CommonCorruption("jpeg_compression", 3, **o),
     "glass": lambda **o: A.CommonCorruption("glass_blur", 3, **o),
     "motion": lambda **o: A.CommonCorruption("motion_blur", 1, **o),
     "zoom": lambda **o: A.CommonCorruption("zoom_blur", 3, **o),
 }
-NOISES = ("photons", "impulses", "normal factors", "glass")
+NOISES = ("photons", "impulses", "normal factors", "glass", "common snow")
 DTYPES = [torch.uint8, torch.float16, torch.bfloat16, torch.float32, torch.float64]
 
 

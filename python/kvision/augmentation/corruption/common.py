@@ -27,7 +27,8 @@ from kvision.augmentation.corruption.weather import WINDOW, as_textures, fogged,
 from kvision.augmentation.engine import Execution, Params, Shape
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
 from kvision.augmentation.lists import filter_lists, statistics_lists
-from kvision.augmentation.lists.sides import sides_of, sizes_of_list
+from kvision.augmentation.lists.conversions import run_on_list
+from kvision.augmentation.lists.sides import rows_on_device, sides_of, sizes_of_list
 from kvision.augmentation.noise import (
     BY_CHANNEL,
     CLAMP,
@@ -40,7 +41,7 @@ from kvision.augmentation.noise import (
 from kvision.augmentation.random_generator.base import RandomGeneratorBase
 from kvision.augmentation.random_generator.mapped import Map, MappedGenerator, NoiseMap
 from kvision.augmentation.random_generator.plasma import PlasmaGenerator
-from kvision.augmentation.warp_and_color import ColorStep, Resampling
+from kvision.augmentation.warp_and_color import ColorPart, ColorStep, Pass, Resampling, make_pass
 from kvision.core.exceptions import ValueCheckError
 from kvision.enhance.batch import colors
 from kvision.filters.filter2d import filter_arguments
@@ -178,8 +179,9 @@ def _zoom_blur(like: Tensor, drawn: Params, images: Images, count: int, step: fl
 
 
 def _snow(
-    x: Tensor,
+    like: Tensor,
     drawn: Params,
+    images: Images,
     mean: float,
     deviation: float,
     zoom: float,
@@ -187,19 +189,27 @@ def _snow(
     radius: int,
     sigma: float,
     weight: float,
-) -> Tensor:
-    (height, width), shrink = x.shape[-2:], 1 / zoom
-    rows = (
-        (shrink, 0.0, (1 - shrink) * (width - 1) / 2),
-        (0.0, shrink, (1 - shrink) * (height - 1) / 2),
-        (0.0, 0.0, 1.0),
-    )
-    noise = drawn["noise"]
-    matrix = constant((rows,), noise).expand(len(x), 3, 3)
-    layer = maps.warp(torch.add(mean, noise, alpha=deviation), matrix, (height, width), _BORDER, inverse=False)
-    flakes = clamp(torch.where(layer < threshold, 0, layer), 0, 1)
-    y: Tensor = add_snow(x, _motion_blur(flakes, drawn, None, radius, sigma)(flakes), weight)
-    return y
+) -> Operation:
+    """Flakes are noise about a mean, enlarged, where it is above a threshold, and blurred along a line."""
+    shrink, noise, own = 1 / zoom, drawn["noise"], compute_dtype(like)
+    blur, flakes = _motion_blur(like, drawn, images, radius, sigma), _above(mean, deviation, threshold)
+
+    def enlarging(height: int, width: int) -> tuple[float, ...]:
+        return (shrink, (1 - shrink) * (width - 1) / 2, (1 - shrink) * (height - 1) / 2, 1.0)
+
+    if images is None:
+        enlarged = sum_of_moved(noise, constant(((enlarging(*like.shape[-2:]),),), like, own))
+        return Operation(add_snow, (blur(flakes.run(enlarged, None)[0]), weight))
+    moves = rows_on_device(tuple(enlarging(*x.shape[-2:]) for x in images), like, own)
+    layers = run_on_list(flakes, Operation(sum_of_moved, (moves[:, None],)).on_list(noise))
+    return Operation(add_snow, (blur.on_list(layers), weight))
+
+
+@functools.lru_cache
+def _above(mean: float, deviation: float, threshold: float) -> Pass:
+    """Noise times a deviation and plus a mean, within [0, 1], and 0 where it is not above a threshold."""
+    scaled = ColorStep("scale_shift", deviation, mean, 0.0)
+    return make_pass(None, parts=[ColorPart([scaled, ColorStep("threshold", threshold, 0.0, 0.0, 1.0, 0.0), _CLAMPED])])
 
 
 def _frost(like: Tensor, drawn: Params, images: Images, of_image: float, of_frost: float) -> Operation:
@@ -275,9 +285,6 @@ def _spatter(
     )
 
 
-_BORDER = Resampling("bilinear", "border", True)
-
-
 class Corruption(NamedTuple):
     """A corruption: its function, its parameters in five severities, and what is drawn for it."""
 
@@ -348,6 +355,7 @@ CORRUPTIONS: dict[CorruptionName, Corruption] = {
         NoiseMap(True, _PLANE),
         (-135.0, -45.0),
         takes_bytes=True,
+        is_operation=True,
     ),
     "frost": Corruption(
         _frost,
@@ -492,7 +500,7 @@ class CommonCorruption(IntensityAugmentationBase2D, keeps_contract=True):
     def _drawn(self, params: Params, like: Tensor) -> Params:
         drawn: Params = {**params, "module": self}
         for name in ("noise", "angle", "plasma"):
-            if name in params:
+            if isinstance(params.get(name), Tensor):
                 drawn[name] = params[name].to(like.device, compute_dtype(like))
         return drawn
 
@@ -513,11 +521,18 @@ class CommonCorruption(IntensityAugmentationBase2D, keeps_contract=True):
         assert generator is not None
         if self.fuses_noise or not generator.per_pixel:
             params = self._params_on_device(like, execution, for_users=False)
-        else:  # maps as large as the largest image
+        else:
             assert execution.columns is not None
             values, noise = execution.columns.values, self._pixel_noise(execution, execution.redraw, like.device)
-            params = generator.pixel_params(values, (*like.shape[:2], *sizes(images)), noise)
+            if isinstance(generator, MappedGenerator):  # maps of each image
+                map: Any = generator.maps["noise"]
+                drawn = map.draw_list(noise, [tuple(x.shape) for x in images], 0)
+                params = {**self._named(values, execution), "noise": drawn}
+            else:  # one as large as the largest image
+                params = generator.pixel_params(values, (*like.shape[:2], *sizes(images)), noise)
         return self._operation(like, params, images)
 
     def _operates_on(self, dtype: torch.dtype) -> bool:
-        return self._corruption[0].is_operation and super()._operates_on(dtype)
+        generator = self._param_generator
+        is_wide = dtype == torch.float64 and isinstance(generator, MappedGenerator) and generator.per_pixel
+        return self._corruption[0].is_operation and not is_wide and super()._operates_on(dtype)

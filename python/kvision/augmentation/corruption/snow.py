@@ -9,6 +9,7 @@ from kvision._clamp import clamp
 from kvision._dtype import compute_dtype
 from kvision._limits import LUMA
 from kvision._ops import match_layout, register
+from kvision.geometry.transform.lists.kept_sizes import register_filter
 
 
 def _reference(images: Tensor, flakes: Tensor, weight: float) -> Tensor:
@@ -29,3 +30,4 @@ def _reference(images: Tensor, flakes: Tensor, weight: float) -> Tensor:
 
 
 add_snow = register("add_snow", _reference, bytes=True, casts_outputs=True)
+register_filter("add_snow_list", add_snow, lambda b, flakes, weight: (flakes[b][None], weight))

@@ -22,14 +22,15 @@ _TO_FLOATS, _TO_BYTES = _conversion(torch.float32), _conversion(torch.uint8)
 
 def floats_of_byte_images(images: Sequence[Tensor]) -> list[Tensor]:
     """Images (C, H, W) of bytes in [0, 1], float32."""
-    return _converted(images, _TO_FLOATS)
+    return run_on_list(_TO_FLOATS, images)
 
 
 def bytes_of_float_images(images: Sequence[Tensor]) -> list[Tensor]:
     """Images (C, H, W) in [0, 1], which they are clamped to, in bytes, without a gradient."""
-    return _converted([x.detach() for x in images], _TO_BYTES)
+    return run_on_list(_TO_BYTES, [x.detach() for x in images])
 
 
-def _converted(images: Sequence[Tensor], conversion: Pass) -> list[Tensor]:
-    columns, fill, _, *program = conversion.arguments(like_batch(images), None)
+def run_on_list(colors: Pass, images: Sequence[Tensor]) -> list[Tensor]:
+    """What a pass without a warp and without columns makes of images (C, H, W)."""
+    columns, fill, _, *program = colors.arguments(like_batch(images), None)
     return list(warp_and_color_to_list(list(images), columns, fill, False, [], *program)[: len(images)])

@@ -41,6 +41,11 @@ class NoiseMap(NamedTuple):
         size = map_size(self.size, shape)
         return noise.normal(size, map=number) if self.normal else noise.uniform(size, number)
 
+    def draw_list(self, noise: PixelNoise, shapes: Sequence[Shape], number: int) -> list[Tensor]:
+        """The maps of the images of a list, of a shape (C, H, W) each."""
+        sizes = [map_size(self.size, (1, *shape))[1:] for shape in shapes]
+        return noise.normal_list(sizes, number) if self.normal else noise.uniform_list(sizes, number)
+
 
 class MappedGenerator(PlainUniformGenerator):
     """Draws uniform parameters, then integers, and maps of noise.

@@ -21,6 +21,12 @@ PASSES = {
     "flips": lambda: (A.RandomHorizontalFlip(), A.RandomVerticalFlip(p=1.0)),
     "affine": lambda: (A.RandomAffine(20.0, (0.1, 0.1), (0.8, 1.2), p=0.7),),
     "perspective": lambda: (A.RandomPerspective(0.3, p=1.0), A.RandomGrayscale(p=0.5)),
+    "antialiased": lambda: (
+        A.RandomAffine(20.0, scale=(0.3, 0.8), antialias=True, p=0.7),
+        A.RandomHorizontalFlip(),
+        A.RandomPerspective(0.5, antialias=True, p=0.7),
+        A.RandomZoomOut(fill=0.5, p=0.7),
+    ),
     "nearest": lambda: (A.RandomRotation(30.0, "nearest", p=1.0), A.RandomVerticalFlip()),
     "colors": lambda: (A.ColorJitter(0.2, 0.2, 0.2, 0.1, p=0.8), A.RandomSolarize(), A.RandomPosterize()),
     "everything": lambda: (
@@ -181,7 +187,7 @@ def test_results_in_another_type(device):
     assert not is_by_passes(A.ImageSequential(augment))
 
 
-@pytest.mark.parametrize("name", ["flips", "affine", "everything", "erasing", "factors", *BLURS, *MAPS])
+@pytest.mark.parametrize("name", ["flips", "affine", "everything", "erasing", "factors", "antialiased", *BLURS, *MAPS])
 def test_as_many_launches_as_a_batch(name):
     """With contrast two more where the planes of some images begin between vectors: no cluster of blocks keeps these."""
     if not torch.cuda.is_available():

@@ -235,6 +235,9 @@ struct Matrix : WarpMatrix {
   }
 };
 
+// About how many taps an antialiased pixel has: the matrices are not read here.
+constexpr int64_t kAntialiasedCost = 32;
+
 // How an image of `source` is read, and for which gradient; what is read of it is up to the caller.
 struct SamplingOptions {
   char const* op;

@@ -19,7 +19,7 @@ from kvision.augmentation.engine import (
     RigidAffineAugmentationBase2D,
     Shape,
 )
-from kvision.augmentation.maps import exact, warp, warp_covered, warp_each, warp_labels
+from kvision.augmentation.maps import exact, warp, warp_covered, warp_covered_each, warp_each, warp_labels
 from kvision.augmentation.transforms import Transform, transform_matrix
 from kvision.augmentation.warp_and_color import Resampling, fill_of_images
 from kvision.constants import Resample, SamplePadding
@@ -160,6 +160,13 @@ class GeometricAugmentationBase2D(GeometricAugmentation, RigidAffineAugmentation
     def _warp(self, x: Tensor, matrix: Tensor, flags: dict[str, Any]) -> Tensor:
         return warp(x, matrix, self.output_size(tuple(x.shape), flags), self.resampling(flags))
 
+    def _sizes_of_list(self, images: Sequence[Tensor]) -> tuple[list[int], bool]:
+        """Height and width of all results of images (C, H, W), if settings say them, or of each; whether these are a list."""
+        size = self.flags.get("size")
+        if isinstance(size, tuple):
+            return list(size), False
+        return [n for x in images for n in self.output_size((1, *x.shape), self.flags)], True
+
     def _matrix_of(self, x: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
         if execution.columns is not None or execution.params is None:
             drawn, chain = self._chain(x, execution, flags)
@@ -231,6 +238,8 @@ class GeometricAugmentationBase2D(GeometricAugmentation, RigidAffineAugmentation
 class AntialiasedByMatrix(GeometricAugmentationBase2D):
     """Base of augmentations by `matrix_transforms` that read images as antialiased warps do where their flag says so."""
 
+    warps_lists_by_matrix = replays_lists = True
+
     def _set_antialias(self, antialias: bool) -> None:
         op = type(self).__name__
         self.flags["antialias"] = _check.switch(op, "antialias", antialias)
@@ -244,3 +253,20 @@ class AntialiasedByMatrix(GeometricAugmentationBase2D):
         if not flags.get("antialias"):
             return super()._warp(x, matrix, flags)
         return warp_covered(x, matrix, self.output_size(tuple(x.shape), flags), self.resampling(flags))
+
+    def _warp_list(self, images: list[Tensor], matrix: Tensor, size: Sequence[int], flags: dict[str, Any]) -> Tensor:
+        if not flags.get("antialias"):
+            return super()._warp_list(images, matrix, size, flags)
+        return warp_covered_each(images, matrix, size, self.resampling(flags))[0]
+
+    def _operates_on(self, dtype: torch.dtype) -> bool:
+        return bool(self.flags.get("antialias")) and not self._is_customized()
+
+    def _run_list(self, images: Sequence[Tensor], execution: Execution) -> Any:
+        matrix, chosen = execution.matrix, execution.chosen
+        assert matrix is not None
+        size, is_list = self._sizes_of_list(images)
+        if chosen is not None:
+            matrix = torch.where(chosen[:, None, None], matrix, torch.eye(3, dtype=matrix.dtype, device=matrix.device))
+        results = warp_covered_each(images, matrix, size, self.resampling(self.flags))
+        return list(results[0] if results[0].dim() == 4 else results) if is_list else results[0]

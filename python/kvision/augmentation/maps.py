@@ -24,6 +24,7 @@ from kvision.geometry.transform.composed.composed_warp import composed_coords, c
 from kvision.geometry.transform.lists.arguments import like_batch
 from kvision.geometry.transform.lists.remap_list import remap_list
 from kvision.geometry.transform.lists.resize_windows_list import resize_windows_list
+from kvision.geometry.transform.lists.warp_antialiased_list import warp_antialiased_list
 from kvision.geometry.transform.lists.warp_list import warp_list
 from kvision.geometry.transform.resize_windows import resized_windows
 
@@ -84,6 +85,18 @@ def warp_covered(x: Tensor, matrix: Tensor, size: Sequence[int], resampling: Res
     matrix = matrix.to(compute_dtype(x))
     y: Tensor = warp_antialiased(x, matrix, fill, None, list(size), padding, resampling.align_corners, True, False)
     return y
+
+
+def warp_covered_each(
+    images: Sequence[Tensor], matrix: Tensor, size: Sequence[int], resampling: Resampling
+) -> Sequence[Tensor]:
+    """`warp_covered` of a list of images (C, H, W), with the results of `warp_each`."""
+    like = like_batch(images)
+    fill = fill_of_images(like, resampling.fill)
+    padding, fill_values = sampling.padding_and_fill("augmentation", like, resampling.padding, fill)
+    options = (padding, resampling.align_corners, True, False)
+    matrix = matrix.to(like.device, compute_dtype(like))
+    return warp_antialiased_list(list(images), matrix, fill_values, list(size), *options)
 
 
 def read_labels_composed(masks: Tensor, links: Sequence[Tensor], size: Sequence[int], resampling: Resampling) -> Tensor:

@@ -118,20 +118,19 @@ class Resize(GeometricAugmentationBase2D):
     def _warp_list(self, images: list[Tensor], matrix: Tensor, size: Sequence[int], flags: dict[str, Any]) -> Tensor:
         if not flags["antialias"]:
             return super()._warp_list(images, matrix, size, flags)
-        return _antialiased_list(images, list(size), flags, is_list=False)
+        return _antialiased_list(images, size, False, flags)
 
     def _operates_on(self, dtype: torch.dtype) -> bool:
         return bool(self.flags["antialias"]) and not self._is_customized()
 
-    def _run_list(self, images: Sequence[Tensor], execution: Execution) -> list[Tensor]:
-        sizes = [n for x in images for n in self.output_size((1, *x.shape), self.flags)]
-        return _antialiased_list(images, sizes, self.flags, is_list=True)
+    def _run_list(self, images: Sequence[Tensor], execution: Execution) -> Any:
+        return _antialiased_list(images, *self._sizes_of_list(images), self.flags)
 
 
-def _antialiased_list(images: Sequence[Tensor], sizes: list[int], flags: dict[str, Any], is_list: bool) -> Any:
+def _antialiased_list(images: Sequence[Tensor], sizes: Sequence[int], is_list: bool, flags: dict[str, Any]) -> Any:
     """Images (C, H, W) resized with antialiasing to one size, or each to one of `sizes`."""
     mode: Any = Resample.get(flags["resample"]).name.lower()
-    return resize_each(list(images), sizes, mode, bool(flags["align_corners"]), True, is_list)
+    return resize_each(list(images), list(sizes), mode, bool(flags["align_corners"]), True, is_list)
 
 
 class LongestMaxSize(Resize):
@@ -275,7 +274,7 @@ class RandomScale(GeometricAugmentationBase2D):
         sizes = [_scaled(x.shape[-2], x.shape[-1], factor) for x, factor in zip(images, factors.tolist())]
         of_all = [n for size in sizes for n in size]
         if self.flags["antialias"]:
-            return _antialiased_list(images, of_all, self.flags, is_list=True)
+            return _antialiased_list(images, of_all, True, self.flags)
         like = like_batch(images)
         of_each = tuple((*x.shape[-2:], *size) for x, size in zip(images, sizes))
         sides = rows_on_device(of_each, like, compute_dtype(like))

@@ -18,7 +18,6 @@ SIZES = ((20, 28), (24, 18), (17, 17), (30, 25), (22, 23), (26, 21))
 
 # A call for each size, each with what its kernels lack.
 BY_SIZE = {
-    "an antialiased warp": {"RandomZoomOut"},
     "drops and stains in a layer of each size": {"Spatter"},
     "objects of the masks of a call": {"MaskDropout"},
 }

@@ -37,6 +37,9 @@ CROPPED = {
     "crop": lambda: (A.SmallestMaxSize(24), A.RandomCrop((20, 22)), A.Normalize(0.4, 0.3)),
     "antialiased crop": lambda: (A.LongestMaxSize(22, antialias=True), A.CenterCrop((9, 9)), A.RandomHorizontalFlip()),
     "padded crop": lambda: (A.PadIfNeeded(24, 24), A.RandomCrop((20, 22)), A.ColorJitter(0.2, 0.2)),
+    "antialiased size": lambda: (A.RandomHorizontalFlip(), A.Resize((9, 11), antialias=True), A.RandomInvert()),
+    "zoom": lambda: (A.RandomZoomOut(side_range=(1.5, 3.0), p=1.0, size=(12, 14)), A.RandomHorizontalFlip()),
+    "late zoom": lambda: (A.RandomAffine(20.0), A.RandomZoomOut(p=1.0, size=(12, 14)), A.ColorJitter(0.2, 0.2)),
     "scaled crop": lambda: (A.RandomScale((0.9, 1.2)), A.RandomResizedCrop((12, 14))),
 }
 ALL = {**SIZING, **CROPPED}

@@ -103,7 +103,7 @@ struct PartPlan {
 
 // Whether rows of images begin with vectors of four pixels.
 template <class T>
-bool rows_are_fours(Images<T> const& x) {
+KV_HD bool rows_are_fours(Images<T> const& x) {
   return reinterpret_cast<uintptr_t>(x.data) % (4 * sizeof(T)) == 0 && x.step == 1 &&
          (x.row_stride | x.channel_stride | x.batch_stride) % 4 == 0;
 }

@@ -6,9 +6,6 @@
 namespace kv::geometry {
 namespace {
 
-// About how many taps a pixel has: the matrices are not read here.
-constexpr int64_t kAntialiasedCost = 32;
-
 SamplingOptions antialiased_options(char const* op, int64_t padding, bool align_corners, Tensor const& x,
                                     std::optional<Tensor> const& fill, SampledImages const& sampled) {
   return {op, Interpolation::bilinear, parse_padding(op, padding), align_corners, x, fill, sampled};

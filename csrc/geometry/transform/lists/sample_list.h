@@ -61,6 +61,7 @@ KV_HD SampleImageBackward<T> sample_at(SampleListBackward<T> const& p, int b) {
 
 // On the CPU an item is some rows of a result, or backward a plane; on CUDA a block.
 KV_KERNEL(sample_list, SampleList)
+KV_KERNEL(sample_antialiased_list, SampleList)
 KV_KERNEL(sample_list_backward, SampleListBackward)
 
 }  // namespace kv::geometry

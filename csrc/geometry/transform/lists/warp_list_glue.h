@@ -43,14 +43,14 @@ inline int tiles_per_block_of(ListSizes const& sizes, size_t count) {
 
 // Warps images to `results` of a layout: a batch (B, C, h, w), or a list.
 inline void warp_to(Tensors const& results, Layout layout, Tensors const& images, SamplingOptions const& a,
-                    Matrix const& m, ListSizes const& sizes) {
+                    Matrix const& m, ListSizes const& sizes, bool antialias = false) {
   char const* const op = a.op;
   size_t const count = images.size();
   int64_t const channels = images[0].size(0);
   Tensor const like = as_batch(images[0]);
   if (channels == 0) return;
   BatchOrList const outputs(results);
-  int const per_block = tiles_per_block_of(sizes, count);
+  int const per_block = antialias ? 1 : tiles_per_block_of(sizes, count);
   dispatch_floating_and_uint8(op, like, [&]<class T>(Type<T>) {
     SampleList<T> p;
     p.all = {shared_sampling<T>(a, m), {}, {}, {}};
@@ -66,18 +66,21 @@ inline void warp_to(Tensors const& results, Layout layout, Tensors const& images
         },
         [&](size_t first) {
           skip_samples<T>(p.all, all, int64_t(first));
-          KV_RUN(sample_list, like, p, p.list.items, 4 * channels * kItemPixels);
+          if (antialias)
+            KV_RUN(sample_antialiased_list, like, p, p.list.items, kAntialiasedCost * channels * kItemPixels);
+          else
+            KV_RUN(sample_list, like, p, p.list.items, 4 * channels * kItemPixels);
         });
   });
 }
 
 // One result (B, C, h, w), of one size; or a list of results, of a size each.
 inline Tensors warped_list(Tensors const& images, SamplingOptions const& a, Matrix const& m,
-                           std::vector<int64_t> const& sides) {
+                           std::vector<int64_t> const& sides, bool antialias = false) {
   ListSizes const sizes(a.op, sides, images.size());
   Tensor const like = as_batch(images[0]);
   Tensors const results = empty_results(like, sizes, images.size(), layout_of(like));
-  warp_to(results, layout_of(like), images, a, m, sizes);
+  warp_to(results, layout_of(like), images, a, m, sizes, antialias);
   return results;
 }
 

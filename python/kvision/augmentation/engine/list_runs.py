@@ -177,6 +177,8 @@ class Sized:
 
     def sizes_after(self, numbers: Sequence[int], images: Sequence[Tensor]) -> list[int]:
         """Height and width of each image behind augmentations by their numbers."""
+        if is_compiling():
+            return [n for x in images for n in self._size_after(numbers, x.shape)]
         known = self._sizes_after.setdefault(tuple(numbers), lru_cache(_KNOWN)(partial(self._size_after, numbers)))
         return [n for x in images for n in known(x.shape)]
 
@@ -300,7 +302,8 @@ def count_list_steps(steps: Sequence[Step], crop: int | None) -> int:
     """How many steps read lists: all, or those up to the one with the augmentation that gives one size."""
     if crop is None:
         return len(steps)
-    return 1 + next(i for i, step in enumerate(steps) if isinstance(step, Joined) and crop in step.geometric)
+    numbers = [[step.number] if isinstance(step, Alone) else step.geometric for step in steps]
+    return 1 + next(i for i, of_step in enumerate(numbers) if crop in of_step)
 
 
 def takes_list(step: Step, modules: Sequence[Any], dtype: torch.dtype) -> bool:
@@ -656,7 +659,7 @@ def run_list_steps(x: Any, steps: Sequence[Step], running: Running, of_list: int
         if i >= of_list:
             x, _ = step.run(x, running)
         elif isinstance(step, Alone):
-            x = running.modules[step.number]._run_list(x, running.executions[step.number])
+            x = step.run_list(x, running)
         else:
             assert isinstance(step, Joined)
             columns, fill, size, *rest = step.image_pass.arguments(like_batch(x), running.columns)

@@ -62,7 +62,17 @@ class Alone(NamedTuple):
     """An augmentation that runs by itself."""
 
     number: int  # in the run
+    chain: Sequence[Transform] = ()  # of its matrix, if it has one, bound to its columns
     read_by: Pass | None = None  # the pass behind it, which may read pieces of images where these are
+
+    def run_list(self, images: Sequence[Tensor], running: Running) -> Any:
+        """What it makes of a list: a list, or a batch where all results have one size."""
+        module, execution = running.modules[self.number], running.executions[self.number]
+        if module.warps_lists_by_matrix:
+            columns, dtype = running.columns, compute_dtype(images[0])
+            columns = images[0].new_empty(len(images), 0, dtype=dtype) if columns is None else as_dtype(columns, dtype)
+            execution.matrix = transform_matrix(columns, self.chain)
+        return module._run_list(images, execution)
 
     def run(self, x: Tensor, running: Running) -> tuple[Tensor, Stage | None]:
         applied = running.applied(self.number)
@@ -216,15 +226,17 @@ class _Planner:
         if contribution is not None and not contribution.takes_volumes:
             check_images(type(module).__name__, shape, module.axes + 1)
         has_columns = execution.params is None or span is not None
+        chain: Sequence[Transform] = ()
+        if motion is not None and has_columns:
+            chain = self.chains.get(number) or module._bound(motion.chain or (), span)
         if colors is not None and has_columns:
             constants = module._constants(shape, execution.params)
             self._add_colors(module._color_part(colors, span, constants), result)
         elif motion is not None and (motion.is_map or has_columns) and (self.once or motion.reads_by_matrix):
-            chain = self.chains.get(number) or module._bound(motion.chain or (), span)
             self._add_motion(_Geometric(number, motion, chain, (shape[-2], shape[-1])))
         else:
             self._flush()
-            self.steps.append(Alone(number))
+            self.steps.append(Alone(number, chain))
             self.dtype = result
 
     def _add_colors(self, part: ColorPart, result: torch.dtype) -> None:
@@ -271,7 +283,7 @@ class _Planner:
         elif sum(g.motion.interpolates for g in geometric) == 1 and _reads_all(geometric, alone[0]):
             (at,) = alone
             self._join(geometric[:at])
-            self.steps.append(Alone(geometric[at].number))
+            self.steps.append(Alone(geometric[at].number, geometric[at].chain))
             self._join(geometric[at + 1 :], parts, output)
         else:
             self._compose(geometric)

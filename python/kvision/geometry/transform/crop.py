@@ -23,7 +23,7 @@ from kvision.geometry._formula import batch_of, register_formula
 from kvision.geometry.transform import sampling
 from kvision.geometry.transform.antialiased.warp_antialiased import check_antialias, warp_antialiased
 from kvision.geometry.transform.frames import check_frames, cropped_frames, reading_of, warped_frames
-from kvision.geometry.transform.lists.arguments import check_list, like_batch, refuse_antialias
+from kvision.geometry.transform.lists.arguments import check_list, like_batch
 from kvision.geometry.transform.lists.warp_list import warped
 from kvision.geometry.transform.matrices import crop_matrix
 from kvision.geometry.transform.nearest import as_values, of_values
@@ -100,7 +100,7 @@ def crop_and_resize(
         box_indices: (N,), int64 or int32: the image of each of the N boxes, from 0 to B - 1. On a GPU a number out of
             this range is clamped, because reading it would wait for the device. Not for lists.
         antialias: where boxes become smaller, average the pixels that a pixel of the result covers, as `resize` does with
-            `antialias`; see :doc:`/conventions`. Only with 'bilinear', and not for lists.
+            `antialias`; see :doc:`/conventions`. Only with 'bilinear'.
 
     Returns:
         (N, C, h, w), of the dtype of `input_tensor`.
@@ -110,7 +110,7 @@ def crop_and_resize(
             `antialias` is not a bool; `box_indices` is not a tensor of int64 or int32.
         ValueError: `input_tensor` is not (B, C, H, W), or a list without images or of different types, devices or
             numbers of channels; `boxes` is not (N, 4, 2), or N is not the number of images; an entry of `size` is below 1;
-            `mode` or `padding_mode` is unknown; `antialias` for a list or with another mode than 'bilinear';
+            `mode` or `padding_mode` is unknown; `antialias` with another mode than 'bilinear';
             `box_indices` is not (N,) or, on the CPU,
             out of range; the tensors are on different devices.
 
@@ -209,13 +209,13 @@ def _crop(op, input_tensor, boxes, first, size, mode, padding_mode, align_corner
             return warped_frames(op, input_tensor, "boxes", matrix, size, reading)
         input_tensor = input_tensor.rgb()
     if is_list:
-        refuse_antialias(op, antialias)
         if box_indices is not None:
             raise ValueCheckError(f"{op}: a list takes no box_indices; it may hold an image several times")
         like = like_batch(input_tensor)
         corners = sampling.cast_to_image(op, like, "boxes", boxes)
         matrix = crop_matrix(corners, None, float(max(size[1] - 1, 1)), float(max(size[0] - 1, 1)))
-        return warped(op, input_tensor, "boxes", matrix, list(size), mode, padding_mode, align_corners)
+        options = (mode, padding_mode, align_corners)
+        return warped(op, input_tensor, "boxes", matrix, list(size), *options, antialias=antialias)
     images = as_values(input_tensor, mode)
     if box_indices is None:
         samples = sampling.count_samples(images, boxes)

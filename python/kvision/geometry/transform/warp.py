@@ -21,7 +21,7 @@ from kvision.geometry.transform.antialiased.warp_antialiased import (
     warp_antialiased,
 )
 from kvision.geometry.transform.frames import check_frames, reading_of, warped_frames
-from kvision.geometry.transform.lists.arguments import check_list, refuse_antialias
+from kvision.geometry.transform.lists.arguments import check_list
 from kvision.geometry.transform.lists.warp_list import warped
 from kvision.geometry.transform.nearest import as_values, of_values
 
@@ -70,7 +70,7 @@ def warp_perspective(
             is not a bool.
         ValueError: `src` is not (B, C, H, W), or a list without images or of different types, devices or numbers of
             channels; `M` is not (B, 3, 3) or (1, 3, 3); an entry of `dsize` is below 1; `mode`
-            or `padding_mode` is unknown; `fill_value` has none of these shapes; `antialias` for a list or with another mode than
+            or `padding_mode` is unknown; `fill_value` has none of these shapes; `antialias` with another mode than
             'bilinear'; the tensors are on different devices.
 
     Example:
@@ -124,7 +124,7 @@ def warp_affine(
             is not a bool.
         ValueError: `src` is not (B, C, H, W), or a list without images or of different types, devices or numbers of
             channels; `M` is not (B, 2, 3) or (1, 2, 3); an entry of `dsize` is below 1; `mode`
-            or `padding_mode` is unknown; `fill_value` has none of these shapes; `antialias` for a list or with another mode than
+            or `padding_mode` is unknown; `fill_value` has none of these shapes; `antialias` with another mode than
             'bilinear'; the tensors are on different devices.
 
     Example:
@@ -156,8 +156,8 @@ def _warp(op, src, M, rows, dsize, mode, padding_mode, align_corners, fill_value
             return warped_frames(op, src, "M", M, size, reading)
         src = src.rgb()
     if is_list:
-        refuse_antialias(op, antialias)
-        return warped(op, src, "M", M, list(size), mode, padding_mode, align_corners, fill_value, inverse=True)
+        options = (mode, padding_mode, align_corners, fill_value)
+        return warped(op, src, "M", M, list(size), *options, inverse=True, antialias=antialias)
     image, samples = as_values(src, mode), sampling.count_samples(src, M)
     matrix = sampling.cast_to_image(op, image, "M", M, samples)
     padding, fill = sampling.padding_and_fill(op, src, padding_mode, fill_value, samples, mode)

@@ -12,7 +12,7 @@ from torch.compiler import is_compiling
 
 from kvision import _check
 from kvision._ops import match_layout
-from kvision.core.exceptions import DeviceError, ShapeError, TypeCheckError, ValueCheckError
+from kvision.core.exceptions import DeviceError, ShapeError, TypeCheckError
 from kvision.geometry.transform.nearest import as_values, moves_values, of_values
 
 # --- arguments ------------------------------------------------------------------------------------------------------
@@ -107,12 +107,6 @@ def _uniform_sides(images: Sequence[Any]) -> tuple[Sequence[int], Sequence[int]]
     except ValueError:  # other axes
         return None
     return (heights, widths) if len({*channels}) == 1 and min(heights) > 0 and min(widths) > 0 else None
-
-
-def refuse_antialias(op: str, antialias: bool) -> None:
-    """Raise where a warp of a list is to be antialiased."""
-    if antialias:
-        raise ValueCheckError(f"{op}: a list takes no antialias; resize does, and RandomResizedCrop in a container")
 
 
 def as_value_list(images: Sequence[Tensor], mode: str) -> list[Tensor]:

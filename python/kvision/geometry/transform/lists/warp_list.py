@@ -12,6 +12,7 @@ from kvision._list_ops import ListOperator
 from kvision._modes import INTERPOLATION, PADDING
 from kvision.geometry.transform import sampling
 from kvision.geometry.transform.lists import arguments as lists
+from kvision.geometry.transform.lists.warp_antialiased_list import warp_antialiased_list
 
 # Arguments: images (C, H, W), one for each sample; matrices and fills, as those of `warp`; height and width of the results, which
 # are then one tensor (B, C, h, w), or of each result; the options of `warp`. The results are a sequence in both cases.
@@ -104,10 +105,15 @@ def warped(
     fill_value: Any = None,
     inverse: bool = False,
     is_list: bool = False,
+    antialias: bool = False,
 ) -> Any:
     """Images warped by matrices `name`, from pixels of the result unless `inverse`; `size` has that of all or of each."""
     like, values = lists.like_batch(images), lists.as_value_list(images, mode)
     matrix = sampling.cast_to_image(op, values[0][None], name, matrix, len(images))
     padding, fill = sampling.padding_and_fill(op, like, padding_mode, fill_value, None, mode)
-    options = (INTERPOLATION[mode], padding, align_corners, inverse, False)
-    return lists.of_value_list(warp_list(values, matrix, fill, size, *options), like, mode, is_list)
+    options = (padding, align_corners, inverse, False)
+    if antialias:
+        results = warp_antialiased_list(values, matrix, fill, size, *options)
+    else:
+        results = warp_list(values, matrix, fill, size, INTERPOLATION[mode], *options)
+    return lists.of_value_list(results, like, mode, is_list)

@@ -1,0 +1,19 @@
+// Antialiased warps of lists of images on the CPU, by the kernel of batches: items [begin, end) of all samples.
+// Compiled once per instruction set.
+#include "geometry/transform/antialiased/warp_antialiased.h"
+#include "geometry/transform/lists/list_items.h"
+#include "geometry/transform/lists/sample_list.h"
+
+namespace kv::geometry::KV_ISA {
+template <class T>
+void sample_antialiased_list(SampleList<T> const& p, int64_t begin, int64_t end) {
+  for_each_sample(p.list, begin, end, [&](int b, int64_t first, int64_t last) {
+    Sample<T> const one = sample_at(p, b);
+    int64_t const rows = rows_of_item(one.y.width);
+    KV_ISA::sample_antialiased(one, first * rows, min(last * rows, one.y.height));
+  });
+}
+
+KV_INSTANTIATE_WITH_BYTES(sample_antialiased_list, SampleList)
+
+}  // namespace kv::geometry::KV_ISA

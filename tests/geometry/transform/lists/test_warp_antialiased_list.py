@@ -1,0 +1,80 @@
+"""Antialiased warps of lists of images: each image as by itself, equal sizes as a batch, and gradients to each image."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+import kvision as K
+from geometry.transform.lists.test_warp_list import SIZES, TYPES, one_by_one, pictures
+from op_tests import assert_close
+
+
+def shrinking(count, device):
+    """Homographies to a half to a fifth, turned, of which the last one keeps all pixels."""
+    scale = torch.tensor([[0.05, 0.1, 2], [0.1, 0.05, 2], [1e-3, 1e-3, 0]])
+    matrices = torch.diag(torch.tensor([0.3, 0.4, 1.0])) + torch.randn(count, 3, 3) * scale
+    matrices[-1] = torch.eye(3)
+    return matrices.to(device)
+
+
+@pytest.mark.parametrize("dtype", TYPES, ids=str)
+@pytest.mark.parametrize("padding", ["zeros", "border", "reflection", "fill"])
+def test_samples_are_those_of_single_images(dtype, padding, device):
+    images, matrices = pictures(device, dtype), shrinking(len(SIZES), device)
+    options = {"dsize": (33, 37), "padding_mode": padding, "fill_value": 0.5, "antialias": True}
+    results = K.geometry.warp_perspective(images, matrices, **options)
+    assert torch.equal(results, one_by_one(K.geometry.warp_perspective, images, matrices, **options))
+    with K.backend("reference"):
+        expected = K.geometry.warp_perspective(images, matrices, **options)
+    assert_close(expected, results, atol=1 if dtype == torch.uint8 else 2e-2)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.uint8], ids=str)
+def test_equal_sizes_have_the_bits_of_a_batch(dtype, device, backend):
+    images, matrices = [x.contiguous() for x in pictures(device, dtype, [(60, 70)] * 6)], shrinking(6, device)
+    corners = torch.tensor([[0.0, 0], [58, 0], [58, 66], [0, 66]], device=device) + torch.rand(6, 1, 2, device=device)
+    results, expected = (
+        [
+            K.geometry.warp_perspective(x, matrices, (24, 31), antialias=True),
+            K.geometry.warp_affine(x, matrices[:1, :2], (24, 31), padding_mode="border", antialias=True),
+            K.geometry.crop_and_resize(x, corners, (12, 15), antialias=True),
+        ]
+        for x in (images, torch.stack(images))
+    )
+    for of_list, of_batch in zip(results, expected):  # the reference adds the taps of a batch in another order
+        assert_close(of_list, of_batch, 0, 1e-5 if backend == "reference" else 0)
+
+
+@pytest.mark.derivatives
+def test_gradients(device):
+    images = [x.detach().requires_grad_() for x in pictures(device, torch.float64, ((7, 9), (8, 5), (2, 2)), 2)]
+    matrices = shrinking(4, device)[:3].double().requires_grad_()
+    fill = torch.tensor([0.3, 0.7], dtype=torch.float64, device=device, requires_grad=True)
+
+    def warped(*tensors):
+        *images, matrices, fill = tensors
+        return K.geometry.warp_perspective(
+            images, matrices, (3, 4), padding_mode="fill", fill_value=fill, antialias=True
+        )
+
+    assert torch.autograd.gradcheck(warped, (*images, matrices, fill), nondet_tol=1e-12)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float16], ids=str)
+def test_gradients_are_those_of_single_images(dtype, device):
+    matrices, leaves = shrinking(len(SIZES), device), [x.requires_grad_() for x in pictures(device, dtype)]
+    images = [*leaves[:-1], leaves[0]]  # the first image twice
+    results = [
+        K.geometry.warp_perspective(images, matrices, (13, 17), antialias=True),
+        one_by_one(K.geometry.warp_perspective, images, matrices, dsize=(13, 17), antialias=True),
+    ]
+    weights = torch.rand_like(results[0])
+    gradients = [torch.autograd.grad((y * weights).sum(), leaves[:-1]) for y in results]
+    assert_close(*gradients, **({"atol": 2e-2} if dtype == torch.float16 else {"atol": 1e-4}))
+
+
+def test_more_images_than_a_launch_takes(device):
+    images = [torch.full((1, 2, 1 + i % 3), float(i), device=device) for i in range(1030)]
+    results = K.geometry.warp_affine(images, torch.eye(2, 3)[None], (1, 1), antialias=True)
+    assert torch.equal(results.flatten().cpu(), torch.arange(1030.0))

@@ -90,8 +90,8 @@ std::tuple<Tensor, Tensor, Tensor, Tensor, Tensor> draw_list_warp_and_color(Tens
   return {y, *matrix, columns, sizes_of(list, plan), means ? *means : columns};
 }
 
-// The numbers of the draws of each image that are functions of its size, `linear` (3, N): a constant, and the factors
-// of height and width.
+// The numbers of each image that are functions of its size, `linear` (3, N): a constant, and the factors of height and
+// width.
 std::vector<double> numbers_of_sizes(char const* op, Tensors const& list, Tensor const& linear) {
   KV_CHECK(linear.is_cpu() && linear.scalar_type() == ScalarType::Double && linear.is_contiguous() &&
                linear.dim() == 2 && linear.size(0) == 3,
@@ -124,40 +124,55 @@ std::tuple<Tensor, Tensor> draw_sized_parameters(Tensors const& list, Tensor con
   return {columns, sizes_of(list, plan)};
 }
 
-// The same of images whose results are a list, with `linear` as above, or with the numbers of each image, and behind
-// these the height and width of its result, `of_each` (B, N + 2) on the CPU; otherwise images keep their sizes. The
-// plan has the listed draws behind the count of the draws' numbers, and 1 instead of a size if there is a warp. Behind
-// the results are matrices, columns and sizes of images.
+// The numbers of each image, given by `linear` functions or as (B, N) on the CPU.
+std::vector<double> numbers_of_images(char const* op, Tensors const& list, Tensor const& given, bool linear) {
+  if (linear) return numbers_of_sizes(op, list, given);
+  KV_CHECK(given.is_cpu() && given.scalar_type() == ScalarType::Double && given.is_contiguous() && given.dim() == 2 &&
+               given.size(0) == int64_t(list.size()),
+           op, ": expected float64 numbers of shape (B, N) on the CPU");
+  double const* const data = data_ptr<double const>(given);
+  return {data, data + given.numel()};
+}
+
+// Takes the last two of the `width` numbers of each image, which are height and width of its result.
+std::vector<int64_t> taken_sizes(char const* op, std::vector<double>& numbers, size_t count, size_t width) {
+  KV_CHECK(width >= 2, op, ": expected height and width of the results among the numbers");
+  std::vector<int64_t> sides;
+  sides.reserve(2 * count);
+  auto to = numbers.begin();
+  for (auto from = numbers.begin(); from != numbers.end(); from += 2) {
+    for (size_t k = 2; k < width; ++k) *to++ = *from++;
+    sides.push_back(int64_t(from[0])), sides.push_back(int64_t(from[1]));
+  }
+  numbers.resize(numbers.size() - sides.size());
+  return sides;
+}
+
+// The same of images whose results are a list. `of_images` has the numbers of each, as `linear` functions or as they
+// are. The plan has the listed draws behind the count of the draws' numbers, and one number instead of a size if there
+// is a warp: 1 if the results have sizes of their own, which are behind the numbers of the draws. Behind the results
+// are matrices, columns and sizes of images.
 Tensors draw_warp_and_color_to_list(Tensors const& list, Tensor const& keys, std::optional<Tensor> const& seeds,
-                                    Tensor const& linear, std::optional<Tensor> const& of_each, Tensor const& plan,
-                                    Tensor const& numbers) {
+                                    Tensor const& of_images, bool linear, Tensor const& plan, Tensor const& numbers) {
   constexpr char const* op = "draw_warp_and_color_to_list";
   PassImages const images(op, list);
   PlanReader rest = read_plan(op, plan, numbers);
   auto const draws = rest.next_list();
   auto params = draws_of(images.like, keys, seeds, draws, rest.next_numbers(rest.next_count()));
-  std::vector<double> own;
+  std::vector<double> own = numbers_of_images(op, list, of_images, linear);
+  size_t width = size_t(of_images.size(1));
+  auto const listed = rest.next_list(), warp = rest.next_list();
+  bool const warps = !warp.empty();
   std::vector<int64_t> sides;
-  int64_t const width = of_each ? of_each->size(1) - 2 : linear.size(1);
-  if (of_each) {
-    KV_CHECK(of_each->is_cpu() && of_each->scalar_type() == ScalarType::Double && of_each->is_contiguous() &&
-                 of_each->dim() == 2 && of_each->size(0) == int64_t(list.size()) && width >= 0,
-             op, ": expected float64 numbers of shape (B, N + 2) on the CPU");
-    double const* row = data_ptr<double const>(*of_each);
-    for (size_t b = 0; b < list.size(); ++b, row += width + 2) {
-      own.insert(own.end(), row, row + width);
-      sides.insert(sides.end(), {int64_t(row[width]), int64_t(row[width + 1])});
-    }
-  } else {
-    own = numbers_of_sizes(op, list, linear);
+  if (warps && warp[0]) {
+    sides = taken_sizes(op, own, list.size(), width);
+    width -= 2;
   }
-  list_draws(op, params, rest.next_list(), own);
-  bool const warps = !rest.next_list().empty();
-  if (!warps) sides.clear();
+  list_draws(op, params, listed, own);
   PlanReader of_pass = rest;
   of_pass.next(kPassOptions);
   auto const [columns, drawn_matrix] =
-      draw_list_columns(op, images.like, params, own, size_t(width), warps ? of_pass.next_chain() : ChainPlan{});
+      draw_list_columns(op, images.like, params, own, width, warps ? of_pass.next_chain() : ChainPlan{});
   auto const pass_plan = rest.plan();
   auto const pass_numbers = rest.numbers();
   auto [results, matrix, means] =
@@ -174,10 +189,9 @@ Tensors draw_warp_and_color_to_list(Tensors const& list, Tensor const& keys, std
 KV_OPERATOR(
     draw_sized_parameters,
     "(Tensor[] images, Tensor keys, Tensor? seeds, Tensor linear, Tensor plan, Tensor numbers) -> (Tensor, Tensor)")
-KV_OPERATOR(
-    draw_warp_and_color_to_list,
-    "(Tensor[] images, Tensor keys, Tensor? seeds, Tensor linear, Tensor? of_each, Tensor plan, Tensor numbers) "
-    "-> Tensor[]")
+KV_OPERATOR(draw_warp_and_color_to_list,
+            "(Tensor[] images, Tensor keys, Tensor? seeds, Tensor of_images, bool linear, Tensor plan, Tensor numbers) "
+            "-> Tensor[]")
 KV_OPERATOR(draw_list_warp_and_color,
             "(Tensor[] images, Tensor keys, Tensor? seeds, Tensor plan, Tensor numbers) -> "
             "(Tensor, Tensor, Tensor, Tensor, Tensor)")

@@ -15,6 +15,7 @@ from kvision.augmentation.draws import (
     MAX_NUMBERS,
     Draw,
     Request,
+    are_chosen_batches,
     draw_list_parameters,
     draw_parameters,
     integer,
@@ -23,7 +24,7 @@ from kvision.augmentation.draws import (
     philox,
     uniform,
 )
-from kvision.augmentation.keys import draw_keys
+from kvision.augmentation.keys import draw_keys, seeds_of_samples
 from op_tests import instruction_set
 from point_op_tests import Call, PointOpTests, vector
 
@@ -235,6 +236,14 @@ def test_p_batch_decides_for_all(device):
     assert chosen[:, 0].bool().tolist() == [is_chosen_batch(int(key), 0, 0.3) for key in keys]
     assert 40 < chosen[:, 0].sum() < 80
     assert [is_chosen_batch(1, 0, p) for p in (0.0, 1.0)] == [False, True]
+    for p in (0.0, 0.3, 1.0):
+        assert are_chosen_batches(keys, 2, p) == [is_chosen_batch(int(key), 2, p) for key in keys]
+
+
+def test_seeds_of_samples_are_those_of_splitmix64():
+    known = [6457827717110365317, 3203168211198807973, 9817491932198370423, 4593380528125082431, 16408922859458223821]
+    seeds = seeds_of_samples(torch.tensor([1234567]), torch.arange(5))
+    assert [seed % 2**64 for seed in seeds.tolist()] == known
 
 
 # --- statistics: at a level of 1e-4 for all tests together ---

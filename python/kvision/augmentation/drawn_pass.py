@@ -134,6 +134,9 @@ class _WithGradients(torch.autograd.Function):
 _call_with_gradients = function_caller(_WithGradients)
 
 
+_NO_KEYS = torch.empty(0, dtype=torch.int64, device="cpu")
+
+
 class SizedDraws:
     """Draws for images (C, H, W) of different sizes, and these sizes: to ask each image takes Python longer than all else.
 
@@ -160,18 +163,24 @@ class SizedDraws:
 
 
 class DrawnListPass:
-    """Draws as those of SizedDraws, and a pass over the images, whose results are a list, that reads the drawn columns."""
+    """Draws as those of SizedDraws, and a pass over the images, whose results are a list, that reads the drawn columns.
+
+    `numbers` are `linear` as there, or a function that gives those of each image, float64 (B, N) on the CPU. The last two are
+    height and width of the results if these have others than the images.
+    """
 
     def __init__(
         self,
         draws: DrawPlan,
         listed: Sequence[int],
-        linear: Tensor,
+        numbers: Tensor | Callable[[Sequence[Tensor]], Tensor],
+        changes_sizes: bool,
         image_pass: Pass,
         shape: Sequence[int],
         dtype: torch.dtype,
     ) -> None:
-        self.of_batch, self.listed, self.linear = DrawnPass(draws, image_pass, shape, dtype), listed, linear
+        self.of_batch, self.listed, self.numbers = DrawnPass(draws, image_pass, shape, dtype), listed, numbers
+        self.changes_sizes = changes_sizes
         self._plan: tuple[Tensor, Tensor] | None = None
 
     def serves(self, images: list[Tensor]) -> bool:
@@ -181,24 +190,21 @@ class DrawnListPass:
             return False
         return not (is_grad_enabled() and any([image.requires_grad for image in images]))
 
-    def run(
-        self, images: list[Tensor], keys: Keys, of_each: Tensor | None = None
-    ) -> tuple[list[Tensor], Tensor, Tensor]:
-        """The results, the columns, and the sizes (B, 2) of the images on the CPU.
-
-        `of_each` (B, N + 2) has the numbers of each image in place of linear functions, and height and width of its result.
-        """
+    def run(self, images: list[Tensor], keys: Keys | None) -> tuple[list[Tensor], Tensor, Tensor]:
+        """The results, the columns, and the sizes (B, 2) of the images on the CPU; `keys` are None where nothing is drawn."""
         x, draws, image_pass = images[0], self.of_batch.draws, self.of_batch.image_pass
         if self._plan is None:
             plan = [len(draws.plan), *draws.plan, len(draws.numbers), len(self.listed), *self.listed]
-            plan += [1, 1] if image_pass.warps else [0]
+            plan += [1, int(self.changes_sizes)] if image_pass.warps else [0]
             self._plan = packed([*plan, *image_pass.plan], [*draws.numbers, *image_pass.numbers])
             if image_pass.clamps:
                 look_at_range(x)
-        own = draws.keys_of(keys), keys.seeds_on(x.device)
+        own = (_NO_KEYS, None) if keys is None else (draws.keys_of(keys), keys.seeds_on(x.device))
         try:
+            is_linear = isinstance(self.numbers, Tensor)
+            numbers = self.numbers if isinstance(self.numbers, Tensor) else self.numbers(images)
             call = _draw_warp_and_color_to_list.kernel
-            *results, _, columns, sizes = call(images, *own, self.linear, of_each, *self._plan)
+            *results, _, columns, sizes = call(images, *own, numbers, is_linear, *self._plan)
         except RuntimeError:
             check_list("lists", "images", images)  # which says more
             raise

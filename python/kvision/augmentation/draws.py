@@ -175,6 +175,14 @@ def is_chosen_batch(key: int, position: int, p_batch: float) -> bool:
     return unit(philox(key, (CHOSEN_DRAW, 0, BATCH_SAMPLE, position))[0]) < p_batch
 
 
+def are_chosen_batches(seeds: Tensor, position: int, p_batch: float) -> list[bool]:
+    """What :func:`is_chosen_batch` says for each seed, by one operator."""
+    plan, no_keys = make_plan([Request([Draw("chosen")], p_batch=p_batch)], True, position), seeds.new_zeros(1).cpu()
+    batches = torch.empty(1, device="cpu").expand(len(seeds))
+    chosen: list[float] = draw_parameters(batches, no_keys, seeds.cpu(), plan.plan, plan.numbers).flatten().tolist()
+    return [one > 0.5 for one in chosen]
+
+
 # --- the operator ---------------------------------------------------------------------------------------------------
 
 

@@ -217,6 +217,20 @@ def frame_seeds(seeds: Tensor, frames: int) -> Tensor:
     return (seeds[:, None] + _SEED_INCREMENT * torch.arange(frames, device=seeds.device)).flatten()
 
 
+_MIX = ((30, -0x40A7B892E31B1A47), (27, -0x6B2FB644ECCEEE15))  # shifts, and factors as int64
+
+
+def seeds_of_samples(key: Tensor, samples: Tensor) -> Tensor:
+    """Seeds that follow from a key and the numbers of samples.
+
+    By SplitMix64 (Steele, Lea, Flood: Fast Splittable Pseudorandom Number Generators, OOPSLA 2014).
+    """
+    x = key + (samples + 1) * _SEED_INCREMENT
+    for shift, factor in _MIX:
+        x = (x ^ ((x >> shift) & ((1 << (64 - shift)) - 1))) * factor
+    return x ^ ((x >> 31) & ((1 << 33) - 1))
+
+
 def _from_seed(op: str, seed: int | Tensor) -> Keys:
     if isinstance(seed, Tensor):
         if seed.dtype != torch.int64:

@@ -30,7 +30,7 @@ from kvision.augmentation.warp_and_color import Resampling
 from kvision.color.frames import Frames
 from kvision.constants import AnyResample, Resample
 from kvision.core.exceptions import ValueCheckError
-from kvision.geometry.transform.lists.arguments import like_batch
+from kvision.geometry.transform.lists.arguments import like_batch, sizes
 from kvision.geometry.transform.resize import resize_each
 
 __all__ = ["LongestMaxSize", "Pad", "PadIfNeeded", "PadTo", "RandomScale", "Resize", "SmallestMaxSize"]
@@ -252,7 +252,8 @@ class RandomScale(GeometricAugmentationBase2D):
         refuse_capture("RandomScale")
         scale = self._read_params(execution)["scale"]
         refuse_mapped("RandomScale", scale)
-        return _scaled(height, width, float(scale[0]))
+        height, width = _scaled(torch.tensor([height, width], device="cpu"), scale[:1].cpu()).tolist()
+        return height, width
 
     def _matrix_of(self, x: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
         dtype = compute_dtype(x) if execution.identity is None else execution.identity[1]
@@ -271,14 +272,14 @@ class RandomScale(GeometricAugmentationBase2D):
     def _run_list(self, images: Sequence[Tensor], execution: Execution) -> list[Tensor]:
         given = execution.params
         factors = self._values_on_host(execution)[:, 0] if given is None else given["scale"]
-        sizes = [_scaled(x.shape[-2], x.shape[-1], factor) for x, factor in zip(images, factors.tolist())]
-        of_all = [n for size in sizes for n in size]
+        sides = torch.tensor(sizes(images), dtype=torch.float64, device="cpu").view(-1, 2)
+        scaled = _scaled(sides, factors[:, None])
+        of_all = scaled.flatten().tolist()
         if self.flags["antialias"]:
             return _antialiased_list(images, of_all, True, self.flags)
         like = like_batch(images)
-        of_each = tuple((*x.shape[-2:], *size) for x, size in zip(images, sizes))
-        sides = rows_on_device(of_each, like, compute_dtype(like))
-        matrices = transform_matrix(sides, self._resizing(self.flags, *map(Column, range(4))))
+        of_each = rows_on_device(torch.cat([sides, scaled], 1), like, compute_dtype(like))
+        matrices = transform_matrix(of_each, self._resizing(self.flags, *map(Column, range(4))))
         return list(warp_each(list(images), matrices, of_all, self.resampling(self.flags)))
 
     def _run(self, x: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
@@ -299,8 +300,8 @@ class RandomScale(GeometricAugmentationBase2D):
         return warp_labels(masks, self._matrix(execution), self._size_of(execution, flags), resampling)
 
 
-def _scaled(height: int, width: int, factor: float) -> tuple[int, int]:
-    return max(round(height * factor), 1), max(round(width * factor), 1)
+def _scaled(sides: Tensor, factors: Tensor) -> Tensor:
+    return (sides * factors.double()).round().clamp(min=1).long()
 
 
 class PadTo(GeometricAugmentationBase2D):

@@ -142,7 +142,7 @@ def frosted(
         places = constant((count, tall - height + 1, wide - width + 1), u)
     else:
         of_each = ((count, tall - x.shape[-2] + 1, wide - x.shape[-1] + 1) for x in images)
-        places = rows_on_device(tuple(of_each), u)
+        places = rows_on_device(torch.tensor(list(of_each), dtype=torch.float64, device="cpu"), u)
     own = textures if x.shape[1] == textures.shape[1] else textures.mean(1, keepdim=True)
     return layered(own.to(compute_dtype(x)), of_image, 0.0, of_frost, 0.0, windows=(u * places).long())
 

@@ -16,15 +16,13 @@ import torch
 from torch import Generator, Tensor
 from torch.compiler import is_compiling
 
-from kvision.augmentation.draws import philox
 from kvision.augmentation.engine.execution import Execution
 from kvision.augmentation.engine.record import SomeParamItem
-from kvision.augmentation.keys import Seed, check_seeds, draw_keys
+from kvision.augmentation.keys import Seed, check_seeds, draw_keys, seeds_of_samples
 from kvision.constants import DataKey
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 from kvision.geometry.transform.lists.arguments import check_list
 
-_SEEDS = 1 << 24  # the position in the chain of draws of seeds, behind those of all augmentations and choices
 _SHAPE = "forward_input_shape"
 Sizes = tuple[tuple[int, ...], tuple[int, ...]]
 SIZES: Sizes = ((40037, 53003), (91009, 67003))  # of images that show what depends on their size; larger than any crop
@@ -226,10 +224,7 @@ def seeds_of_list(op: str, modules: Sequence[Any], count: int, seed: Seed, gener
             f"{op}: expected one same_on_batch of all that draws for images of several sizes, got True and False; give a seed of "
             "each image"
         )
-    samples = torch.zeros_like(samples) if same == {True} else samples
-    zero = torch.zeros_like(samples)
-    high, low, _, _ = philox(keys.keys[0], (zero, 0, samples, _SEEDS))
-    return (high << 32) | low
+    return seeds_of_samples(keys.keys, torch.zeros_like(samples) if same == {True} else samples)
 
 
 def _draws_same(module: Any) -> bool | None:

@@ -31,7 +31,6 @@ from kvision.augmentation.engine.record import Child, Record
 from kvision.augmentation.engine.runs import Call, replayed, runs_of
 from kvision.augmentation.transforms import Transform
 from kvision.geometry.transform.lists.arguments import largest_shape, like_batch
-from kvision.geometry.transform.lists.arguments import sizes as sides_of
 
 
 class ReplayedParts(Parts):
@@ -102,7 +101,7 @@ def replay_list(images: list[Tensor], children: Sequence[Child], context: CallCo
         return None
     chains: Mapping[int, Sequence[Transform]] = {}
     if replay.numbers is not None:
-        own = replay.numbers.of_each(sides_of(images)).to(compute_dtype(like)).to(like.device, non_blocking=True)
+        own = replay.numbers.of_each(images).to(compute_dtype(like)).to(like.device, non_blocking=True)
         width = 0 if columns is None else columns.shape[1]
         columns = own if columns is None else torch.cat([columns.to(own), own], 1)
         chains = replay.sized.bound(modules, [_call(execution) for execution in executions], width)

@@ -10,9 +10,11 @@ inverse, asks for the calls of parts, which the columns of the list give.
 from __future__ import annotations
 
 import math
+from array import array
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache, partial
+from itertools import chain
 from typing import Any, NamedTuple
 
 import torch
@@ -21,7 +23,7 @@ from torch.compiler import is_compiling
 
 from kvision.augmentation.columns import Column, Columns, DrawPlan
 from kvision.augmentation.drawn_pass import DrawnListPass, SizedDraws
-from kvision.augmentation.draws import HEADER, MAX_DRAWS, MAX_NUMBERS, Draw, Request, is_chosen_batch, make_plan
+from kvision.augmentation.draws import HEADER, MAX_DRAWS, MAX_NUMBERS, Draw, Request, are_chosen_batches, make_plan
 from kvision.augmentation.engine.call_context import CallContext
 from kvision.augmentation.engine.execution import Execution, ListExecution, Shape, matrix_type
 from kvision.augmentation.engine.list_calls import SIZES, Parts, refuse_list, seeds_of_list
@@ -75,9 +77,9 @@ class SizedNumbers(NamedTuple):
         """The numbers for a size."""
         return [a + height * b + width * c for a, b, c in zip(self.constant, self.of_height, self.of_width)]
 
-    def of_each(self, sides: Sequence[int]) -> Tensor:
-        """The numbers (B, N) for height and width of each image, float64 on the CPU."""
-        own = torch.tensor(sides, dtype=torch.float64, device="cpu").view(-1, 2, 1)
+    def of_each(self, images: Sequence[Tensor]) -> Tensor:
+        """The numbers (B, N) for the size of each image, float64 on the CPU."""
+        own = torch.tensor(sides_of(images), dtype=torch.float64, device="cpu").view(-1, 2, 1)
         a, b, c = self.linear()
         return a + own[:, 0] * b + own[:, 1] * c
 
@@ -92,10 +94,13 @@ class NumbersOfEach:
     def __init__(self, read: Callable[[Size], Sequence[float]]) -> None:
         self._at_size = lru_cache(_KNOWN)(read)
 
-    def of_each(self, sides: Sequence[int]) -> Tensor:
-        """The numbers (B, N) for height and width of each image, float64 on the CPU."""
-        numbers = list(map(self._at_size, zip(sides[::2], sides[1::2])))
-        return torch.tensor(numbers, dtype=torch.float64, device="cpu")
+    def of_each(self, images: Sequence[Tensor]) -> Tensor:
+        """The numbers (B, N) for the size of each image, float64 on the CPU."""
+        rows = [self._at_size(x.shape[-2:]) for x in images]
+        if not rows[0]:
+            return torch.empty(len(rows), 0, dtype=torch.float64, device="cpu")
+        # The tensor is one of memory, as torch converts the entries of lists one by one.
+        return torch.frombuffer(array("d", chain.from_iterable(rows)), dtype=torch.float64).view(len(rows), -1)
 
 
 class _Reading:
@@ -161,29 +166,35 @@ class Sized:
         self.count = sum(map(len, self.inputs))
         self._sizes_after: dict[Size, Callable[[Size], Size]] = {}
 
-    def numbers(self, has_draws: bool = True) -> SizedNumbers | NumbersOfEach | None:
-        """What depends on the size, as numbers of each image: those of the draws, and then the inputs; None for none."""
-        if not self.count and not (has_draws and (self.draws or self.may_be_too_small)):
+    def numbers(self, has_draws: bool = True, then: Sequence[int] = ()) -> SizedNumbers | NumbersOfEach | None:
+        """What depends on the size, as numbers of each image: those of the draws, then the inputs, and height and width behind
+        augmentations by their numbers; None for none.
+        """
+        if not self.count and not then and not (has_draws and (self.draws or self.may_be_too_small)):
             return None
-        read = partial(self._numbers, has_draws)
+        read = partial(self._numbers, has_draws, then)
         return SizedNumbers.of(read) or NumbersOfEach(read)
 
-    def _numbers(self, has_draws: bool, size: Size) -> list[float]:
+    def _numbers(self, has_draws: bool, then: Sequence[int], size: Size) -> list[float]:
         draws = self.reading.draws(size) if has_draws else []
         numbers = [n for i in self.draws for n in draws[i].numbers] if has_draws else []
-        for chain, inputs in zip(self.reading.chains(size), self.inputs):
-            numbers += [chain[i].inputs[k] for i, k in inputs]
-        return numbers
+        for formulas, inputs in zip(self.reading.chains(size), self.inputs):
+            numbers += [formulas[i].inputs[k] for i, k in inputs]
+        return [*numbers, *self._size_after(then, size)] if then else numbers
+
+    def changes(self, numbers: Sequence[int]) -> bool:
+        """Whether augmentations by their numbers give images sizes of their own, which are others than they have."""
+        return any(number in self.sizing for number in numbers)
 
     def sizes_after(self, numbers: Sequence[int], images: Sequence[Tensor]) -> list[int]:
         """Height and width of each image behind augmentations by their numbers."""
         if is_compiling():
             return [n for x in images for n in self._size_after(numbers, x.shape)]
         known = self._sizes_after.setdefault(tuple(numbers), lru_cache(_KNOWN)(partial(self._size_after, numbers)))
-        return [n for x in images for n in known(x.shape)]
+        return [n for x in images for n in known(x.shape[-2:])]
 
-    def _size_after(self, numbers: Sequence[int], shape: Size) -> Size:
-        shape = (1, *shape)
+    def _size_after(self, numbers: Sequence[int], size: Size) -> Size:
+        shape: Shape = (*self.reading.shape, *size)
         for number in numbers:
             module = self.reading.modules[number]
             shape = module.output_shape(shape, module.flags)
@@ -192,13 +203,13 @@ class Sized:
     def bound(self, modules: Sequence[Any], calls: Sequence[Call], columns: int) -> Mapping[int, Sequence[Transform]]:
         """The chains, by the numbers of augmentations, with columns behind `columns` others in place of their inputs."""
         bound: dict[int, Sequence[Transform]] = {}
-        for number, (chain, inputs) in enumerate(zip(self.reading.chains(SIZES[0]), self.inputs)):
+        for number, (formulas, inputs) in enumerate(zip(self.reading.chains(SIZES[0]), self.inputs)):
             own = {place: Column(columns + i) for i, place in enumerate(inputs)}
             columns += len(own)
             if own:
                 with_columns = [
                     Transform(t.kind, *[own.get((i, k), x) for k, x in enumerate(t.inputs)])
-                    for i, t in enumerate(chain)
+                    for i, t in enumerate(formulas)
                 ]
                 bound[number] = modules[number]._bound(with_columns, calls[number].span)
         return bound
@@ -262,16 +273,17 @@ def _make_plan(
     if draws is not None and (_count_draws(draws) > MAX_DRAWS or len(draws.numbers) > MAX_NUMBERS):
         return None
     drawn = sized_draws = None
-    if draws is not None:
-        linear = torch.empty(3, 0, dtype=torch.float64, device="cpu")
-        if isinstance(numbers, SizedNumbers):
-            linear = numbers.linear()
-        if not isinstance(numbers, NumbersOfEach):
-            sized_draws = SizedDraws(draws, listed, linear)
-        first = run.steps[0] if run.steps else None
-        has_list_first = context.owners is None and not run.derives and (steps > 1 or not has_one_size)
-        if isinstance(first, Joined) and has_list_first:
-            drawn = DrawnListPass(draws, listed, linear, first.image_pass, like.shape, like.dtype)
+    if draws is not None and not isinstance(numbers, NumbersOfEach):
+        sized_draws = SizedDraws(draws, listed, _linear(numbers))
+    first = run.steps[0] if run.steps else None
+    has_list_first = context.owners is None and not run.derives and (steps > 1 or not has_one_size)
+    if isinstance(first, Joined) and has_list_first:
+        changes = sized.changes(first.geometric)
+        if draws is not None or changes:
+            of_pass = sized.numbers(draws is not None, first.geometric) if changes else numbers
+            of_each = of_pass.of_each if isinstance(of_pass, NumbersOfEach) else _linear(of_pass)
+            own = draws or _NO_DRAWS
+            drawn = DrawnListPass(own, listed, of_each, changes, first.image_pass, like.shape, like.dtype)
     return _ListPlan(run, steps, sized, draws, listed, numbers, drawn, sized_draws)
 
 
@@ -337,13 +349,20 @@ def _with_numbers(draws: DrawPlan | None, count: int) -> DrawPlan:
     return draws._replace(plan=plan, numbers=[*draws.numbers, *more.numbers])
 
 
-def _draw(plan: _ListPlan, draws: DrawPlan, like: Tensor, keys: Keys, sides: Sequence[int]) -> Tensor:
+def _linear(numbers: SizedNumbers | None) -> Tensor:
+    return torch.empty(3, 0, dtype=torch.float64, device="cpu") if numbers is None else numbers.linear()
+
+
+_NO_DRAWS = DrawPlan(0, 1, [0], [], [], None)
+
+
+def _draw(plan: _ListPlan, draws: DrawPlan, like: Tensor, keys: Keys, images: Sequence[Tensor]) -> Tensor:
     if plan.numbers is None:
         return draws.draw(like, keys)
     if is_compiling() and isinstance(plan.numbers, SizedNumbers):  # a graph has no numbers of tensors
-        numbers = [n for size in zip(sides[::2], sides[1::2]) for n in plan.numbers.at(*size)]
+        numbers = [n for x in images for n in plan.numbers.at(*x.shape[-2:])]
     else:
-        numbers = plan.numbers.of_each(sides).flatten().tolist()
+        numbers = plan.numbers.of_each(images).flatten().tolist()
     if not plan.listed:
         return draws.draw(like, keys)
     return draws.draw_list(like, keys, plan.listed, numbers)
@@ -548,13 +567,12 @@ def _run_decided(
 
 def _decided(modules: Sequence[Any], seeds: Tensor, context: CallContext) -> list[tuple[Sequence[int], Sequence[bool]]]:
     """The numbers of images for which the same augmentations are applied, and which these are, as `plan_run` decides by seeds."""
-    keys, number, columns = seeds.tolist(), 0, list[list[bool]]()
+    number, columns = 0, list[list[bool]]()
     for module in modules:
         if not decides(module):
-            columns.append([may_apply(module, context.is_certain)] * len(keys))
+            columns.append([may_apply(module, context.is_certain)] * len(seeds))
         else:
-            position = context.position + number
-            columns.append([is_chosen_batch(key, position, module.p_batch) for key in keys])
+            columns.append(are_chosen_batches(seeds, context.position + number, module.p_batch))
         number += may_apply(module, False) and module._request((1, 3, *SIZES[0])) is not None
     return grouped(columns)
 
@@ -594,12 +612,13 @@ def _execute(
     if plan.draws is not None:
         keys = context.keys(run.drawing, like) if run.drawing else Keys(torch.zeros(1, dtype=torch.int64, device="cpu"))
         context.check_seeds(keys, len(images))
-        if plan.drawn is not None and plan.drawn.serves(images):
-            drawn = plan.drawn.run(images, keys, _of_each(plan, images))
+    if plan.drawn is not None and plan.drawn.serves(images):
+        drawn = plan.drawn.run(images, keys)
     x: Any = images
     sides: Any
     if drawn is not None:
         x, columns, sides = drawn
+        columns = None if plan.draws is None else columns
     else:
         alone = plan.drawn_alone
         of_sizes = None if alone is None or keys is None or is_compiling() else alone.run(images, keys)
@@ -608,7 +627,7 @@ def _execute(
         else:
             sides = sides_of(images)  # which checks them
             if plan.draws is not None and keys is not None:
-                columns = _draw(plan, plan.draws, like, keys, sides)
+                columns = _draw(plan, plan.draws, like, keys, images)
         if columns is not None:
             columns = plan.run.of_owners(columns, context.owners)
     needs_executions = run.derives or len(run.steps) > plan.steps or any(isinstance(s, Alone) for s in run.steps)
@@ -630,18 +649,6 @@ def _executions(count: int, run: RunPlan, like: Tensor, columns: Tensor | None, 
     for execution in executions:
         execution.shape = (count, *execution.shape[1:])
     return executions
-
-
-def _of_each(plan: _ListPlan, images: Sequence[Tensor]) -> Tensor | None:
-    """The numbers of each image, and height and width of its result of the first step; None where linear functions say all."""
-    first: Any = plan.run.steps[0]
-    changes = any(number in plan.sized.sizing for number in first.geometric)
-    if not changes and not isinstance(plan.numbers, NumbersOfEach):
-        return None
-    sides = sides_of(images)
-    after = plan.sized.sizes_after(first.geometric, images) if changes else sides
-    sizes = torch.tensor(after, dtype=torch.float64, device="cpu").view(-1, 2)
-    return sizes if plan.numbers is None else torch.cat([plan.numbers.of_each(sides), sizes], 1)
 
 
 def _sizes_before(sized: Sized, images: Sequence[Tensor], number: int) -> Tensor:
@@ -666,7 +673,6 @@ def run_list_steps(x: Any, steps: Sequence[Step], running: Running, of_list: int
             if has_one_size and i == of_list - 1:
                 x, *_ = warp_and_color_list(x, columns, fill, size, *rest)
             else:
-                changes = any(number in sized.sizing for number in step.geometric)
-                sizes = sized.sizes_after(step.geometric, x) if changes else []
+                sizes = sized.sizes_after(step.geometric, x) if sized.changes(step.geometric) else []
                 x = list(warp_and_color_to_list(x, columns, fill, len(size) > 0, sizes, *rest)[: len(x)])
     return x

@@ -40,8 +40,7 @@ class Side(NamedTuple):
 
 def sizes_of_list(images: Sequence[Tensor]) -> Tensor:
     """Height and width of images (C, H, W), (B, 2) float64 on their device."""
-    each = sizes(images)
-    return rows_on_device(tuple(zip(each[::2], each[1::2])), images[0])
+    return rows_on_device(torch.tensor(sizes(images), dtype=torch.float64, device="cpu").view(-1, 2), images[0])
 
 
 def sides_of(like: Tensor, images: Sequence[Tensor] | None) -> tuple[Any, Any]:
@@ -53,11 +52,13 @@ def sides_of(like: Tensor, images: Sequence[Tensor] | None) -> tuple[Any, Any]:
     return own[:, :1], own[:, 1:]
 
 
-def rows_on_device(rows: tuple[tuple[float, ...], ...], like: Tensor, dtype: torch.dtype = torch.float64) -> Tensor:
-    """A row of numbers of each image, on the device of a tensor, without waiting for it."""
+def rows_on_device(rows: Tensor, like: Tensor, dtype: torch.dtype = torch.float64) -> Tensor:
+    """A row of numbers of each image on the CPU, on the device of a tensor, without waiting for it."""
     if like.is_cuda and torch.cuda.is_current_stream_capturing():
-        return constant(rows, like, dtype)  # a graph would repeat the copy from memory that has other owners by then
-    return torch.tensor(rows, dtype=dtype, device="cpu").to(like.device, non_blocking=True)
+        return constant(
+            tuple(map(tuple, rows.tolist())), like, dtype
+        )  # a graph would repeat the copy from memory that has other owners by then
+    return rows.to(dtype).to(like.device, non_blocking=True)
 
 
 def sides_of_list(images: Sequence[Tensor]) -> tuple[Side, Side]:

@@ -441,6 +441,27 @@ std::tuple<Tensor, Tensor, Tensor> warp_and_color_backward(Tensor const& grad, T
   return {grad_image, grad_columns, grad_matrix};
 }
 
+// The gradients of the images of a list of a program without a warp. The list has the images, and behind them the
+// gradients of the results.
+Tensors color_list_backward(Tensors const& images_and_grads, OptionalTensor const& columns, OptionalTensor const& means,
+                            std::vector<int64_t> const& plan, Numbers const& numbers) {
+  char const* const op = "color_list_backward";
+  KV_CHECK(images_and_grads.size() % 2 == 0 && !images_and_grads.empty(), op, ": expected a gradient of each image");
+  auto const middle = images_and_grads.begin() + int64_t(images_and_grads.size() / 2);
+  Tensors const images(images_and_grads.begin(), middle), grads(middle, images_and_grads.end());
+  PassImages const list(op, images);
+  check_image_list(op, "grads", grads);
+  WarpAndColorArguments const a(op, list.like, columns, {}, {}, {}, plan, numbers);
+  auto const arguments = a.program(list.like, grads[0].scalar_type());
+  std::vector<int64_t> sides;
+  for (Tensor const& x : images) sides.insert(sides.end(), {x.size(1), x.size(2)});
+  Tensors const results = geometry::empty_list(list.like, list.like.size(1), {op, sides, images.size()}, images.size(),
+                                               layout_of(list.like));
+  color::program_list_gradients(op, grads, images, results, list.like, arguments, a.plan.program, a.plan.numbers,
+                                means);
+  return results;
+}
+
 }  // namespace
 
 // A warp by the matrices of a chain of transforms of columns (B, P), then a program of color steps: the result, the
@@ -462,6 +483,8 @@ KV_OPERATOR(warp_and_color_pieces,
 KV_OPERATOR(warp_and_color_to_list,
             "(Tensor[] images, Tensor? columns, Tensor? fill, bool warps, SymInt[] sizes, int[] plan, float[] numbers) "
             "-> Tensor[]")
+KV_OPERATOR(color_list_backward,
+            "(Tensor[] images_and_grads, Tensor? columns, Tensor? means, int[] plan, float[] numbers) -> Tensor[]")
 KV_OPERATOR(warp_and_color_backward,
             "(Tensor grad, Tensor image, Tensor? columns, Tensor? fill, Tensor matrix, Tensor means, SymInt[] size, "
             "int[] plan, float[] numbers, bool of_image, bool of_columns) -> (Tensor, Tensor, Tensor)")

@@ -363,6 +363,33 @@ struct TransposedProgram {
   }
 };
 
+// Whether the gradient of the image is a program, too: that of an affine one.
+inline bool has_transpose(ProgramArguments const& a, PlanArgument const& plan, std::vector<double> const& numbers) {
+  bool affine = !a.is_ordered() && a.sequence.contrast < 0 && !a.sequence.one_channel && plan.steps.size() > 0;
+  for (size_t i = 0, at = 0; i < a.sequence.steps.size(); at += size_t(parameters_of(a.sequence.steps[i++])))
+    affine = affine && is_affine(a.sequence.steps[i], numbers.data() + at);
+  return affine;
+}
+// The arguments of a transposed program on `grad`, a batch, with the tensors of the program.
+inline ProgramArguments transposed_arguments(char const* op, Tensor const& grad, ProgramArguments const& of_program,
+                                             PlanArgument const& transposed, std::vector<double> const& numbers) {
+  ProgramArguments a(op, grad, transposed, numbers, result_type(transposed, grad), false);
+  a.tensors = of_program.tensors;
+  a.columns = of_program.columns;
+  a.by_channel = of_program.by_channel;
+  return a;
+}
+
+// Tells which steps' gradients depend on their inputs.
+template <class F>
+void set_needed_inputs(ProgramBackward<F>& p, bool of_parameters) {
+  Program<F> const& q = p.forward;
+  for (int i = 0; i < q.steps; ++i) {
+    p.needs_input[i] = of_parameters || !is_affine(q.step[i], q.numbers + q.first[i]);
+    p.reads_input = p.reads_input || p.needs_input[i];
+  }
+}
+
 // Which gradients of a program are required.
 struct RequiredGradients {
   bool image, parameters;
@@ -393,19 +420,12 @@ inline std::tuple<Tensor, Tensor> program_gradients(char const* op, Tensor const
                        : !means,
            op, ": expected means as color_program_around_mean gives them");
   int64_t const b = x.size(0);
-  bool linear = of_image && !of_parameters && !a.is_ordered() && !around_mean && !a.sequence.one_channel &&
-                parsed.steps.size() > 0;
-  for (size_t i = 0, at = 0; i < a.sequence.steps.size(); at += size_t(parameters_of(a.sequence.steps[i++])))
-    linear = linear && is_affine(a.sequence.steps[i], numbers.data() + at);
-  if (linear) {
+  if (of_image && !of_parameters && has_transpose(a, parsed, numbers)) {
     TransposedProgram const transposed(parsed, numbers);
     PlanArgument const back{int64_t(dtype_of(op, x)), in == Layout::planar ? 0 : 1, transposed.steps,
                             transposed.columns};
-    ProgramArguments transposed_arguments(op, grad, back, transposed.numbers, result_type(back, grad), false);
-    transposed_arguments.tensors = a.tensors;
-    transposed_arguments.columns = a.columns;
-    transposed_arguments.by_channel = a.by_channel;
-    return {std::get<0>(run_program(op, grad, transposed_arguments, back, transposed.numbers)),
+    ProgramArguments const of_transposed = transposed_arguments(op, grad, a, back, transposed.numbers);
+    return {std::get<0>(run_program(op, grad, of_transposed, back, transposed.numbers)),
             empty({b, 0}, x, Layout::planar, computes)};
   }
   Tensor const grad_x = of_image ? empty_like(x, in) : empty({b, 0}, x);
@@ -420,10 +440,7 @@ inline std::tuple<Tensor, Tensor> program_gradients(char const* op, Tensor const
     p.grad = samples.pixels_of(op, g, out);
     if (is_scalar) p.grad.outer_stride = p.grad.inner_stride = p.grad.channel_stride = p.grad.step = 0;
     p.needs_grad_x = of_image;
-    for (int i = 0; i < p.forward.steps; ++i) {
-      p.needs_input[i] = of_parameters || !is_affine(p.forward.step[i], p.forward.numbers + p.forward.first[i]);
-      p.reads_input = p.reads_input || p.needs_input[i];
-    }
+    set_needed_inputs(p, of_parameters);
     if (of_image) p.grad_x = samples.pixels_of(op, grad_x, in);
     int64_t const chunks = chunks_of<F>(samples.pixels), blocks = blocks_per_sample<F>(samples.count, samples.pixels);
     [[maybe_unused]] int64_t const cost = 12 * min(kChunk<F>, samples.pixels);

@@ -7,7 +7,7 @@
 
 namespace kv::color {
 
-// An image and its result: rows of planes, or of interleaved pixels, without gaps.
+// An image and its result, or the gradient of it: rows of planes, or of interleaved pixels, without gaps.
 struct ListedPixels {
   void const* x;
   void* y;
@@ -17,10 +17,7 @@ struct ListedPixels {
   bool by_vectors;  // on CUDA
 };
 
-// `all` is what the samples share: the images of batches without their memory, and the parameters of all samples.
-template <class F>
-struct ProgramList {
-  Program<F> all;
+struct ProgramTable {
   int64_t samples;  // of the whole list, which decide how many items a sample has
   int count, items;
   ListedPixels listed[kMaxListed];
@@ -36,15 +33,34 @@ struct ProgramList {
   }
 };
 
-// The image of table entry i as a batch of one.
+// `all` is what the samples share: the images of batches without their memory, and the parameters of all samples.
 template <class F>
-KV_HD Program<F> program_at(ProgramList<F> const& list, int i) {
+struct ProgramList : ProgramTable {
+  Program<F> all;
+};
+
+// The gradient of each result, or one number that is that of all its elements.
+template <class F>
+struct ProgramBackwardList : ProgramTable {
+  ProgramBackward<F> all;
+  void const* grads[kMaxListed];
+  bool is_scalar[kMaxListed];
+
+  KV_HD Pixels grad_of(int i) const {
+    Pixels grad = pixels_of(all.grad, const_cast<void*>(grads[i]), listed[i]);
+    if (is_scalar[i]) grad.channel_stride = grad.step = 0;
+    return grad;
+  }
+};
+
+// The program `all` of a table as that of entry i, a batch of one.
+template <class F>
+KV_HD Program<F> program_of(ProgramTable const& list, Program<F> const& all, int i) {
   ListedPixels const& own = list.listed[i];
-  Program<F> p = list.all;
+  Program<F> p = all;
   p.x = list.pixels_of(p.x, const_cast<void*>(own.x), own);
-  p.y = list.pixels_of(p.y, own.y, own);
   p.samples = 1;
-  p.pixels = p.mean_pixels = own.as_values ? own.pixels * int64_t(list.all.x.channels) : own.pixels;
+  p.pixels = p.mean_pixels = own.as_values ? own.pixels * int64_t(all.x.channels) : own.pixels;
   p.parts_count = mean_parts_of<F>(list.samples, p.pixels);
   p.parts += own.part;
   p.means += own.sample;
@@ -54,8 +70,24 @@ KV_HD Program<F> program_at(ProgramList<F> const& list, int i) {
   }
   return p;
 }
+// The image of table entry i as a batch of one.
+template <class F>
+KV_HD Program<F> program_at(ProgramList<F> const& list, int i) {
+  Program<F> p = program_of(list, list.all, i);
+  p.y = list.pixels_of(p.y, list.listed[i].y, list.listed[i]);
+  return p;
+}
+template <class F>
+KV_HD ProgramBackward<F> program_at(ProgramBackwardList<F> const& list, int i) {
+  ProgramBackward<F> p = list.all;
+  p.forward = program_of(list, list.all.forward, i);
+  p.grad = list.grad_of(i);
+  p.grad_x = list.pixels_of(p.grad_x, list.listed[i].y, list.listed[i]);
+  return p;
+}
 
 KV_KERNEL(program_list, ProgramList)
+KV_KERNEL(program_list_backward, ProgramBackwardList)
 
 namespace cuda {
 // Whether one launch serves a sample around a mean.

@@ -88,15 +88,15 @@ def _of_sample(b: int, parts: Tensor, values: Tensor) -> tuple[Tensor, Tensor]:
     return row(parts, b), row(values, b)
 
 
-register_list(
-    "erase_rectangles_list",
-    erase_rectangles,
-    _of_sample,
-    lambda needs, grad, images, boxes, values: _gradients(erase_rectangles, needs, grad, boxes, values),
-)
-register_list(
-    "erase_grid_list",
-    erase_grid,
-    _of_sample,
-    lambda needs, grad, images, grids, values: _gradients(erase_grid, needs, grad, grids, values),
-)
+def _register_list(name: str, erase: Operator) -> None:
+    def gradients(needs: Sequence[bool], grad: Tensor, images: Tensor, *args: Tensor) -> list[Tensor | None]:
+        return _gradients(erase, needs, grad, *args)
+
+    def of_images(grads: Sequence[Tensor], parts: Tensor, values: Tensor) -> Sequence[Tensor]:
+        return of_list(grads, parts, torch.zeros_like(values))
+
+    of_list = register_list(name, erase, _of_sample, gradients, of_images=of_images)
+
+
+_register_list("erase_rectangles_list", erase_rectangles)
+_register_list("erase_grid_list", erase_grid)

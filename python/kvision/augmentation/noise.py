@@ -334,9 +334,19 @@ def _salt_and_pepper_gradients(needs: Sequence[bool], grad: Tensor, images: Tens
     return [_salt_and_pepper_backward(grad, *args)]
 
 
+def _all_pepper(grads: Sequence[Tensor], parameters: Tensor, *rest: Any) -> Sequence[Tensor]:
+    """Gradients are 0 where pixels are hit, as images are where nothing is salt."""
+    *others, plan = rest
+    index, position, draw, same, *_ = plan
+    own = [index, position, draw, same, _form(plan) & ~RANDOM, _first_sample(plan)]
+    return _salt_and_pepper_list(grads, parameters * constant((1.0, 0.0), parameters), *others, own)
+
+
 register_list("gaussian_noise_list", gaussian_noise, _of_sample, partial(_noise_backward, "gaussian_noise"))
 register_list("uniform_noise_list", uniform_noise, _of_sample, partial(_noise_backward, "uniform_noise"))
-register_list("salt_and_pepper_list", salt_and_pepper, _of_sample, _salt_and_pepper_gradients)
+_salt_and_pepper_list = register_list(
+    "salt_and_pepper_list", salt_and_pepper, _of_sample, _salt_and_pepper_gradients, of_images=_all_pepper
+)
 register_list("shot_noise_list", shot_noise, of_sample_without_maps)
 
 

@@ -6,12 +6,13 @@ programs behind it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import torch
 from torch import Tensor
 
+from kvision._dtype import compute_dtype
 from kvision._list_ops import ListOperator
 from kvision._ops import match_layout
 from kvision.augmentation import transforms
@@ -164,17 +165,21 @@ def _list_backward(needs, grads, results, images, columns, fill, warps, sizes, p
             sampled = resize_windows_list(images, matrix, lists.sizes(ys), parts.sampling[0], parts.sampling[2])
         else:
             sampled = warp_list(images, matrix, fill, lists.sizes(ys), *options) if warps else images
-        sampled = lists.samples(sampled) if len(images) == 1 and sampled[0].dim() == 4 else [x[None] for x in sampled]
-        none, of_each = matrix[:, :0], []
-        for b, (g, x) in enumerate(zip(grads, sampled)):
-            arguments = (lists.row(columns, b), None, none[b : b + 1], mean[b : b + 1], [])
-            of_each.append(
-                batches._warp_and_color_backward(
-                    g[None], x, *arguments, parts.plan_of_steps, parts.numbers, True, needs[1]
+        sampled = list(sampled[0]) if sampled[0].dim() == 4 else sampled
+        if needs[1]:
+            none, of_each = matrix[:, :0], []
+            for b, (g, x) in enumerate(zip(grads, sampled)):
+                arguments = (lists.row(columns, b), None, none[b : b + 1], mean[b : b + 1], [])
+                of_each.append(
+                    batches._warp_and_color_backward(
+                        g[None], x[None], *arguments, parts.plan_of_steps, parts.numbers, True, True
+                    )
                 )
-            )
-        grads = [of_image[0] for of_image, *_ in of_each]
-        of_columns = torch.cat([own for _, own, _ in of_each])
+            grads = [of_image[0] for of_image, *_ in of_each]
+            of_columns = torch.cat([own for _, own, _ in of_each])
+        else:
+            means = mean if mean.shape[1] else None
+            grads = color_list_backward([*sampled, *grads], columns, means, parts.plan_of_steps, parts.numbers)
     of_images = None
     if needs[0]:
         of_images = grads
@@ -196,6 +201,52 @@ def _list_backward(needs, grads, results, images, columns, fill, warps, sizes, p
         torch.cat(each), columns, parts.transforms, parts.transform_numbers
     )
     return of_images, of_chain if of_columns is None or not of_columns.shape[1] else of_chain + of_columns, None
+
+
+def _colors_of_each(
+    images_and_grads: Sequence[Tensor], columns: Tensor | None, means: Tensor | None, plan: Any, numbers: Any
+) -> Iterator[tuple[Any, ...]]:
+    """The arguments of the gradient of a batch, for each image."""
+    images, grads = lists.halves(images_and_grads)
+    for b, (x, g) in enumerate(zip(images, grads)):
+        mean = x.new_empty(1, 0, dtype=compute_dtype(x)) if means is None else lists.row(means, b)
+        yield g[None], x[None], lists.row(columns, b), None, mean[:, :0], mean, [], plan, numbers, True, False
+
+
+def _colors_reference(images_and_grads, *args):
+    each = _colors_of_each(images_and_grads, *args)
+    return [batches._warp_and_color_backward.reference(*own)[0][0] for own in each]
+
+
+def _colors_backward(needs, grad_grads, images_and_grads, columns, means, plan, numbers):
+    given = [x for x in (columns, means) if x is not None]
+
+    def result(*tensors: Tensor) -> tuple[Tensor, ...]:
+        count = len(images_and_grads)
+        others = iter(tensors[count:])
+        own = [None if x is None else next(others) for x in (columns, means)]
+        return tuple(_colors_reference(tensors[:count], *own, plan, numbers))
+
+    _, vjp_fn = torch.func.vjp(result, *images_and_grads, *given)
+    of_all: Any = vjp_fn(tuple(grad_grads))
+    others = iter(of_all[len(images_and_grads) :])
+    return list(of_all[: len(images_and_grads)]), *(None if x is None else next(others) for x in (columns, means))
+
+
+# The gradients of images of a program of color steps. Arguments: the images (C, H, W), then the gradients of the results; columns,
+# means of contrast or None, plan and numbers, as those of `warp_and_color`.
+color_list_backward = ListOperator(
+    "color_list_backward",
+    batches._warp_and_color_backward,
+    _colors_reference,
+    fake=lambda images_and_grads, *args: lists.fake_results(
+        lists.halves(images_and_grads)[0], [n for x in lists.halves(images_and_grads)[0] for n in x.shape[-2:]]
+    ),
+    backward=_colors_backward,
+    supports=lambda images_and_grads, columns, means, plan, numbers: batches._unsupported_channels(
+        images_and_grads[0][None], plan
+    ),
+)
 
 
 def _differentiate_list_reference(

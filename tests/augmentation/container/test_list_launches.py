@@ -51,6 +51,64 @@ def grows(augment, images):
     return calls(augment, images, seed=0) > calls(augment, images[:3], seed=0)
 
 
+# The same of backward passes: what takes a call, or a launch of torch's operators, for each image.
+BACKWARD_BY_SIZE = {
+    "an antialiased warp": {"RandomZoomOut"},
+    "a stencil": {"RandomMedianBlur", "RandomMotionBlur", "RandomSharpness", "RingingOvershoot"},
+    "statistics of the image": {"RandomAutoContrast", "RandomClahe", "RandomEqualize", "RandomJPEG"},
+    "noise that is multiplied or clamped": {"CommonCorruption", "ISONoise", "MultiplicativeNoise", "SpeckleNoise"},
+    "a layer": {
+        "RandomFog",
+        "RandomFrost",
+        "RandomGaussianIllumination",
+        "RandomLinearCornerIllumination",
+        "RandomLinearIllumination",
+        "RandomPlasmaBrightness",
+        "RandomPlasmaContrast",
+        "RandomPlasmaShadow",
+        "RandomRain",
+        "Spatter",
+    },
+    "reads of neighbors": {"Downscale", "GlassBlur", "ZoomBlur"},
+    "colors by torch": {"RandomSnow"},
+    "objects of the masks of a call": {"MaskDropout"},
+}
+
+
+class Launches(Calls):
+    """Counts kvision's operators, and those of torch that are no views."""
+
+    def __torch_dispatch__(self, operator, types, args=(), kwargs=None):
+        results = operator._schema.returns
+        is_view = bool(results) and results[0].alias_info is not None and not results[0].alias_info.is_write
+        self.count += not is_view
+        return operator(*args, **(kwargs or {}))
+
+
+def backward_launches(augment, images):
+    leaves = [x.clone().requires_grad_() for x in images]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        results = augment(leaves, seed=0)
+    results = [results] if isinstance(results, torch.Tensor) else results
+    if not results[0].requires_grad:
+        return 0
+    grads = [torch.ones_like(y) for y in results]
+    with Launches() as counted:
+        torch.autograd.grad(results, leaves, grads)
+    return counted.count
+
+
+@pytest.mark.parametrize("case", IMAGES, ids=lambda case: case.name)
+def test_launches_of_gradients_do_not_depend_on_the_number_of_images(case, backend):
+    if backend == "reference":
+        pytest.skip("this test is about the kernels")
+    is_by_size = any(case.name in names for names in BACKWARD_BY_SIZE.values())
+    augment, images = case.make(p=1.0), pictures("cpu", SIZES)
+    backward_launches(augment, images[:3])  # which makes constants
+    assert (backward_launches(augment, images) > backward_launches(augment, images[:3])) == is_by_size
+
+
 DTYPES = pytest.mark.parametrize("dtype", [torch.float32, torch.uint8], ids=str)
 
 

@@ -163,6 +163,11 @@ def sizes_of(size: Sequence[int], count: int) -> Iterator[list[int]]:
         yield list(size if len(size) == 2 else size[2 * b : 2 * b + 2])
 
 
+def halves(both: Sequence[Tensor]) -> tuple[Sequence[Tensor], Sequence[Tensor]]:
+    """The images of a list, and the gradients behind them."""
+    return both[: len(both) // 2], both[len(both) // 2 :]
+
+
 def samples(grads: Sequence[Tensor]) -> list[Tensor]:
     """Tensors (1, C, h, w) of a batch or of a list."""
     return list(grads[0].split(1)) if grads[0].dim() == 4 else [grad[None] for grad in grads]

@@ -88,6 +88,7 @@ def register_list(
     of_sample: Callable[..., Arguments],
     backward: Callable[..., Sequence[Tensor | None]] | None = None,
     kept: Callable[..., Arguments] | None = None,
+    of_images: Callable[..., Sequence[Tensor]] | None = None,
 ) -> ListOperator:
     """The operator on lists of images (C, H, W) that an operator on images (B, C, H, W) has a kernel for.
 
@@ -98,6 +99,7 @@ def register_list(
         backward: the gradients of the first tensors of a batch, for which of them are wanted, the gradient and the arguments;
             default: those of the reference.
         kept: the arguments behind the images with which those stay that are not chosen, for which are, (B,), and the arguments.
+        of_images: the gradients of all images at once, for those of the results and the arguments, where no others are wanted.
     """
 
     of_batch = backward or _of_reference(of)
@@ -106,13 +108,13 @@ def register_list(
         return [of.reference(x[None], *of_sample(b, *args))[0] for b, x in enumerate(images)]
 
     def gradients(needs: Sequence[bool], grads: Any, images: Sequence[Tensor], *args: Any) -> list[Any]:
-        each = [
-            of_batch(needs, torch.zeros_like(x)[None] if g is None else g[None], x[None], *of_sample(b, *args))
-            for b, (g, x) in enumerate(zip(grads, images))
-        ]
-        of_images, *others = zip(*each)
+        grads = [torch.zeros_like(x) if g is None else g for g, x in zip(grads, images)]
+        if of_images is not None and not any(needs[1:]):
+            return [of_images(grads, *args), *(None,) * (len(needs) - 1)]
+        each = [of_batch(needs, g[None], x[None], *of_sample(b, *args)) for b, (g, x) in enumerate(zip(grads, images))]
+        own_images, *others = zip(*each)
         found = [None if own[0] is None else _of_all(own, x) for own, x in zip(others, args)]
-        return [[g[0] for g in of_images] if needs[0] else None, *found, *(None,) * (len(needs) - 1 - len(found))]
+        return [[g[0] for g in own_images] if needs[0] else None, *found, *(None,) * (len(needs) - 1 - len(found))]
 
     operator = _register(name, of, reference, gradients)
     if kept is not None:

@@ -1,0 +1,82 @@
+"""Gradients of color programs on lists of images, in the launches of a batch: those of each image alone."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from augmentation.test_lists import pictures, seeds_of
+from kvision import augmentation as A
+from op_tests import assert_close
+
+SIZES = ((16, 17), (33, 20), (5, 128), (40, 64))
+PROGRAMS = {
+    "values": lambda: A.RandomInvert(p=1.0),
+    "affine": lambda: A.Normalize((0.2, 0.5, 0.3), (0.3, 0.4, 0.5)),
+    "channels": lambda: A.RandomHue((-0.3, 0.3), p=1.0),
+    "one mean": lambda: A.RandomContrast((0.5, 1.5), p=1.0),
+    "jitter": lambda: A.ColorJitter(0.3, 0.3, 0.3, 0.1, p=0.8),
+    "order": lambda: A.ColorJitter(0.3, 0.3, 0.3, 0.1, p=1.0),
+    "grayscale": lambda: A.RandomGrayscale(p=1.0),
+    "warp": lambda: A.ImageSequential(A.RandomAffine(20.0), A.ColorJitter(0.3, 0.3, 0.3, 0.1, p=1.0)),
+    "size": lambda: A.ImageSequential(A.Pad(3), A.RandomSaturation((0.5, 1.5), p=1.0)),
+}
+TYPES = [torch.float32, torch.float64, torch.float16]
+
+
+@pytest.mark.parametrize("layout", ["planes", "pixels", "scalars"])
+@pytest.mark.parametrize("dtype", TYPES, ids=str)
+@pytest.mark.parametrize("name", PROGRAMS)
+def test_gradients_are_those_of_each_image(name, dtype, layout, device, backend):
+    images = pictures(device, SIZES, dtype)
+    if layout == "pixels":
+        images = [x.movedim(0, -1).contiguous().movedim(-1, 0) for x in images]
+    images = [x.requires_grad_() for x in images]
+    augment, seeds = PROGRAMS[name](), seeds_of(images)
+    results = augment(images, seed=seeds)
+    grads = [
+        torch.ones_like(y[:1, :1, :1]).expand_as(y) if layout == "scalars" else torch.rand_like(y) for y in results
+    ]
+    found = torch.autograd.grad(results, images, grads)
+    tolerance = 2e-2 if dtype == torch.float16 else 1e-4
+    for b, x in enumerate(images):
+        (alone,) = torch.autograd.grad(augment(x[None], seed=seeds[b : b + 1]), x, grads[b][None])
+        assert found[b].dtype == dtype
+        if backend != "reference" and name not in ("warp", "size"):  # the gradients of warps are planes
+            assert found[b].stride() == x.stride()
+        assert_close(found[b], alone, tolerance, tolerance)
+
+
+def test_other_channels_and_long_lists(device):
+    """One gradient for each image of more than a table has."""
+    images = [torch.rand(4, 3 + i % 5, 4 + i % 3, device=device, requires_grad=True) for i in range(520)]
+    results = A.RandomInvert(p=1.0)(images)
+    for gradient, x in zip(torch.autograd.grad(results, images, [y.detach() for y in results]), images):
+        assert_close(gradient, x.detach() - 1)
+
+
+@pytest.mark.derivatives
+@pytest.mark.parametrize("name", ["channels", "one mean", "jitter"])
+def test_second_derivatives(name, device):
+    augment, images = PROGRAMS[name](), pictures(device, SIZES[:2], torch.float64)
+    images = [x[:, :3, :4].clone().requires_grad_() for x in images]
+    images[0] = images[0].detach()[:, :2].clone().requires_grad_()
+
+    def call(*xs):
+        return tuple(augment(list(xs), seed=torch.arange(2)))
+
+    assert torch.autograd.gradcheck(call, tuple(images), atol=1e-4)
+    assert torch.autograd.gradgradcheck(call, tuple(images), atol=1e-4)
+
+
+def test_what_does_not_fit_is_an_error(device, backend):
+    if backend == "reference":
+        pytest.skip("this test is about the kernels")
+    x, plan = torch.rand(3, 4, 5, device=device), [-1, -1, 0, 0, 0, 0, 0, 0, 0]
+    operator = torch.ops.kvision.color_list_backward
+    with pytest.raises(RuntimeError, match="gradient of each image"):
+        operator([x], None, None, plan, [])
+    with pytest.raises(RuntimeError, match="do not fit"):
+        operator([x, x[:, 1:]], None, None, plan, [])
+    with pytest.raises(RuntimeError, match="expected the means"):
+        operator([x, x], None, torch.rand(1, 1, device=device), plan, [])

@@ -1,4 +1,4 @@
-"""Tensors of numbers that are known before a call, on the device of an image."""
+"""Numbers that the host knows, on the device of an image: those of all calls, and those of one."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ from torch import Tensor
 
 from kvision._torch_compat import in_function_transform
 
-# The constants that captured CUDA graphs read: their replays read this memory as long as they live, which nobody can ask.
+# What captured CUDA graphs read: their replays read this memory as long as they live, which nobody can ask.
 _in_graphs: dict[tuple[Any, ...], Tensor] = {}
+_copied_in_graphs: list[Tensor] = []
 
 
 def constant(values: tuple[Any, ...], like: Tensor, dtype: torch.dtype | None = None) -> Tensor:
@@ -27,6 +28,13 @@ def constant(values: tuple[Any, ...], like: Tensor, dtype: torch.dtype | None = 
     if like.is_cuda and torch.cuda.is_current_stream_capturing():
         _in_graphs[values, like.device, dtype] = kept
     return kept
+
+
+def on_device(numbers: Tensor, device: torch.device) -> Tensor:
+    """Numbers on the CPU, which nobody writes to, on a device, without waiting for it."""
+    if device.type == "cuda" and not torch.compiler.is_compiling() and torch.cuda.is_current_stream_capturing():
+        _copied_in_graphs.append(numbers)  # each replay copies what is there by then
+    return numbers.to(device, non_blocking=True)
 
 
 @functools.lru_cache(maxsize=1024)

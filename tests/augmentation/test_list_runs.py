@@ -311,6 +311,28 @@ def test_a_cuda_graph_draws_again_for_a_list():
         Halved()(images)
 
 
+def test_a_cuda_graph_keeps_the_numbers_of_a_list():
+    """Its replays copy them from memory of the host that has no other owner by then."""
+    if not torch.cuda.is_available():
+        pytest.skip("needs a GPU")
+    images = pictures("cuda", SMALL)
+    units, affine, maps = (
+        A.GridDropout(unit_size_range=(3, 9), p=1.0),
+        A.RandomAffine(20.0, (0.2, 0.2), p=1.0),
+        A.ZoomBlur(p=1.0),
+    )
+    affine(images, seed=3)
+    params = affine._params
+    calls = (lambda: units(images, seed=3), lambda: affine(images, params=params), lambda: maps(images, seed=3))
+    for call in calls:
+        expected, graph = call(), torch.cuda.CUDAGraph()
+        with torch.cuda.graph(graph):
+            results = call()
+        others = [torch.full((n,), 7.0, dtype=torch.float64) for n in range(1, 300) for _ in range(20)]
+        graph.replay()
+        assert all(torch.equal(a, b) for a, b in zip(results, expected)) and others
+
+
 def test_what_is_wrong_with_a_list_is_said_by_every_path(device):
     """Kernels that read the sizes themselves find it, and then each image is asked."""
     images = pictures(device, SMALL)

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from kvision._constants import on_device
 from kvision._ops import FastPath
 from kvision.core.pixels import to_unit
 
@@ -93,7 +94,7 @@ def is_channels_last(x: Tensor) -> bool:
 
 def index_of(rows: Sequence[int], like: Tensor) -> Tensor:
     """Numbers of rows on the device of a tensor."""
-    return torch.tensor(rows, device="cpu").to(like.device, non_blocking=True)
+    return on_device(torch.tensor(rows, device="cpu"), like.device)
 
 
 def _read_rows_of(tensors: Sequence[Tensor], rows: Sequence[int]) -> Tensor:

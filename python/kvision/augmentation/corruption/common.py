@@ -200,7 +200,8 @@ def _snow(
     if images is None:
         enlarged = sum_of_moved(noise, constant(((enlarging(*like.shape[-2:]),),), like, own))
         return Operation(add_snow, (blur(flakes.run(enlarged, None)[0]), weight))
-    moves = rows_on_device(tuple(enlarging(*x.shape[-2:]) for x in images), like, own)
+    rows = [enlarging(*x.shape[-2:]) for x in images]
+    moves = rows_on_device(torch.tensor(rows, dtype=torch.float64, device="cpu"), like, own)
     layers = run_on_list(flakes, Operation(sum_of_moved, (moves[:, None],)).on_list(noise))
     return Operation(add_snow, (blur.on_list(layers), weight))
 

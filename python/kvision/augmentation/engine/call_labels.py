@@ -12,6 +12,7 @@ from kvision.augmentation import labels
 from kvision.augmentation.engine.label_record import LabelRecord, moved_masks
 from kvision.augmentation.engine.stages import Chain, LabelSettings, Nested, Stage
 from kvision.augmentation.labels import BOX_FORMATS, BoxFilter
+from kvision.augmentation.sample_rows import index_of
 from kvision.constants import DataKey
 
 Size = tuple[int, ...]
@@ -94,7 +95,7 @@ class CallLabels(NamedTuple):
     def _selected(self, x: Tensor) -> Tensor:
         """Of labels (B, ...) of the call those of the samples that this is about."""
         x = x if self.outer is None else self.outer._selected(x)
-        return x if self.rows is None else x[torch.tensor(self.rows, device="cpu").to(x.device, non_blocking=True)]
+        return x if self.rows is None else x[index_of(self.rows, x)]
 
     def _chain(self, inner: Sequence[Stage] = ()) -> list[Stage]:
         """All stages from the images of the call, and then inner ones."""

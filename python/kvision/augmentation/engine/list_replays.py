@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 from torch.compiler import is_compiling
 
+from kvision._constants import on_device
 from kvision._dtype import compute_dtype
 from kvision.augmentation.engine.call_context import CallContext
 from kvision.augmentation.engine.execution import Execution
@@ -101,7 +102,7 @@ def replay_list(images: list[Tensor], children: Sequence[Child], context: CallCo
         return None
     chains: Mapping[int, Sequence[Transform]] = {}
     if replay.numbers is not None:
-        own = replay.numbers.of_each(images).to(compute_dtype(like)).to(like.device, non_blocking=True)
+        own = on_device(replay.numbers.of_each(images).to(compute_dtype(like)), like.device)
         width = 0 if columns is None else columns.shape[1]
         columns = own if columns is None else torch.cat([columns.to(own), own], 1)
         chains = replay.sized.bound(modules, [_call(execution) for execution in executions], width)

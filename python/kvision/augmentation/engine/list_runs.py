@@ -21,6 +21,7 @@ import torch
 from torch import Tensor
 from torch.compiler import is_compiling
 
+from kvision._constants import on_device
 from kvision.augmentation.columns import Column, Columns, DrawPlan
 from kvision.augmentation.drawn_pass import DrawnListPass, SizedDraws
 from kvision.augmentation.draws import HEADER, MAX_DRAWS, MAX_NUMBERS, Draw, Request, are_chosen_batches, make_plan
@@ -654,7 +655,7 @@ def _executions(count: int, run: RunPlan, like: Tensor, columns: Tensor | None, 
 def _sizes_before(sized: Sized, images: Sequence[Tensor], number: int) -> Tensor:
     """Height and width (B, 2) of images before an augmentation of a run."""
     sizes = torch.tensor(sized.sizes_after(range(number), images), dtype=torch.float32, device="cpu")
-    return sizes.view(-1, 2).to(images[0].device, non_blocking=True)
+    return on_device(sizes.view(-1, 2), images[0].device)
 
 
 def run_list_steps(x: Any, steps: Sequence[Step], running: Running, of_list: int, sized: Sized) -> Any:

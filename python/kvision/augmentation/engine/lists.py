@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from kvision._constants import on_device
 from kvision._dtype import compute_dtype
 from kvision.augmentation import labels
 from kvision.augmentation.columns import Column, Columns, Span, plan_draws
@@ -205,7 +206,7 @@ class ListCall:
             return columns
         flags = self.module.flags
         rows = [_numbers_in(self.module.matrix_transforms(shape, flags)) for shape in self.shapes]
-        own = torch.tensor(rows, dtype=compute_dtype(like), device="cpu").to(like.device, non_blocking=True)
+        own = on_device(torch.tensor(rows, dtype=compute_dtype(like), device="cpu"), like.device)
         return own if columns is None else torch.cat([columns.to(own.dtype), own], 1)
 
     def execution(
@@ -291,7 +292,7 @@ def execute_list(
 
 def _derived(module: Any, drawn: Tensor, images: Sequence[Tensor], call_labels: CallLabels | None) -> Tensor:
     """The columns (B, P) that an augmentation derives from drawn ones and the labels of each image."""
-    hw = torch.tensor([x.shape[-2:] for x in images], device="cpu").to(drawn, non_blocking=True)
+    hw = on_device(torch.tensor([x.shape[-2:] for x in images], dtype=drawn.dtype, device="cpu"), drawn.device)
     read = None
     if module.reads_labels is not None and call_labels is not None:
         read = call_labels.read(module.reads_labels, (len(images), *images[0].shape))

@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from kvision._constants import constant
+from kvision._constants import constant, on_device
 from kvision.augmentation.columns import Columns, DrawPlan, Span, identity_values, plan_draws
 from kvision.augmentation.displacements import NoiseField
 from kvision.augmentation.drawn_links import DrawnLinks
@@ -283,7 +283,7 @@ class RunPlan(NamedTuple):
         """Drawn columns, and others behind them, where samples get only the augmentations that `owners` (B,) says."""
         if self.owners is None or owners is None:
             return columns
-        own = (owners[:, None] == self.owners).to(columns.device, non_blocking=True)
+        own = on_device(owners[:, None] == self.owners, columns.device)
         drawn = columns[:, : len(self.identity)]
         chosen = torch.where(own, drawn, constant(self.identity, columns))
         return chosen if drawn.shape == columns.shape else torch.cat([chosen, columns[:, len(self.identity) :]], 1)

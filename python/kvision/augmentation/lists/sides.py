@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from kvision._constants import constant
+from kvision._constants import on_device
 from kvision._dtype import compute_dtype
 from kvision.geometry.transform.lists.arguments import sizes
 
@@ -54,11 +54,7 @@ def sides_of(like: Tensor, images: Sequence[Tensor] | None) -> tuple[Any, Any]:
 
 def rows_on_device(rows: Tensor, like: Tensor, dtype: torch.dtype = torch.float64) -> Tensor:
     """A row of numbers of each image on the CPU, on the device of a tensor, without waiting for it."""
-    if like.is_cuda and torch.cuda.is_current_stream_capturing():
-        return constant(
-            tuple(map(tuple, rows.tolist())), like, dtype
-        )  # a graph would repeat the copy from memory that has other owners by then
-    return rows.to(dtype).to(like.device, non_blocking=True)
+    return on_device(rows.to(dtype), like.device)
 
 
 def sides_of_list(images: Sequence[Tensor]) -> tuple[Side, Side]:

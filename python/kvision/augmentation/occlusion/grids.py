@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
-from kvision._constants import constant
+from kvision._constants import constant, on_device
 from kvision.augmentation import ranges
 from kvision.augmentation.engine import Execution, Params
 from kvision.augmentation.erase import erase_grid
@@ -98,7 +98,7 @@ class GridDropout(HoleDropout, keeps_contract=True):
                 none = (0,) * (most - max(own[axis]))
                 units = self._units(shape[axis - 2], own[axis], shift)
                 tables.append([[[*row, *none] for row in unit] for unit in units])
-            axes.append(torch.tensor(tables, dtype=torch.float32, device="cpu").to(like.device, non_blocking=True))
+            axes.append(on_device(torch.tensor(tables, dtype=torch.float32, device="cpu"), like.device))
         if (unit_range := self._param_generator.unit_size_range) is None or execution.columns is None:
             axes = [units[:, 0] for units in axes]
         else:

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
-from kvision._constants import constant
+from kvision._constants import constant, on_device
 from kvision.augmentation import ranges
 from kvision.augmentation.draws import Draw
 from kvision.augmentation.noise import BY_CHANNEL, RANDOM, PixelNoise, salt_and_pepper
@@ -188,4 +188,4 @@ class GridDropoutGenerator(MappedGenerator):
         first = ends - 2 * rows * columns
         at = torch.stack([first + place, first + rows * columns + place], 1).minimum(ends[:, None] - 1)
         values = torch.cat([own.flatten() for own in drawn])
-        return values[at.to(values.device, non_blocking=True)]
+        return values[on_device(at, values.device)]

@@ -18,8 +18,7 @@ from kvision.augmentation.engine.call_labels import CallLabels
 from kvision.augmentation.engine.execution import Execution, ListExecution, Params, Shape, replaying
 from kvision.augmentation.engine.executor import Executor
 from kvision.augmentation.engine.list_calls import Parts, call_in_parts, shapes_of_images
-from kvision.augmentation.engine.list_replays import ReplayedParts, replay_list
-from kvision.augmentation.engine.list_runs import run_list
+from kvision.augmentation.engine.list_replays import run_or_replay
 from kvision.augmentation.engine.lists import execute_list, list_plan
 from kvision.augmentation.engine.record import Child
 from kvision.augmentation.engine.stages import LabelSettings
@@ -143,34 +142,21 @@ class AugmentationBase(Executor, keeps_contract=True):
         if labels is not None:
             keys, inputs = [*keys, _KEYS[self.reads_labels or ""]], [images, labels]
             context = context._replace(labels=CallLabels(keys, inputs, LabelSettings(), largest_shape(images), True))
-        run, is_planned = None, flags is self.flags
+        is_planned, parts = flags is self.flags, None
         with nullcontext() if params is None else replaying(op, params):
             if is_planned and list_plan(self) is not None:
                 y, *_ = execute_list(images, child, context)
-            else:
-                replay = self._replay_list(images, params, flags)
-                if is_planned and params is None:
-                    run = run_list(images, [child], context)
-                if run is not None:
-                    y, child.record = run[0], ListExecution(run[1].of_child(0))
-                elif replay is not None:
-                    y, child.record = replay[0], ListExecution(replay[1])
+            elif is_planned and (done := run_or_replay(images, [child], context)) is not None:
+                y, run = done
+                if run is None:
+                    parts = Parts.of_params(op, params, [x.shape for x in images], images, self._execution_of_part)
                 else:
-                    call = functools.partial(self._call_part, flags)
-                    (y, *_), parts = call_in_parts([self], keys, inputs, params, seed, generator, call)
-                    child.record = ListExecution(parts)
-        self._execution = child.record
-        return y if plain is given else wrap(y, given), child.record
-
-    def _replay_list(
-        self, images: list[Tensor], params: Params | None, flags: dict[str, Any]
-    ) -> tuple[Any, ReplayedParts] | None:
-        """The results of a list with given parameters, by the launches of a batch, and its parts; None of others."""
-        if params is None or flags is not self.flags:
-            return None
-        op = type(self).__name__
-        y = replay_list(images, [Child(op, self, params)], CallContext.of_module(op, None, None, self._plans))
-        return None if y is None else (y, ReplayedParts(op, images, params, self._execution_of_part))
+                    parts = run.of_child(0)
+            else:
+                call = functools.partial(self._call_part, flags)
+                (y, *_), parts = call_in_parts([self], keys, inputs, params, seed, generator, call)
+        self._execution = child.record if parts is None else ListExecution(parts)
+        return y if plain is given else wrap(y, given), self._execution
 
     def _call_part(
         self, flags: dict[str, Any], inputs: Sequence[Any], params: Any, seed: Seed, generator: Generator | None

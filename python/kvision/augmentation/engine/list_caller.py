@@ -22,7 +22,7 @@ from kvision.augmentation.engine.list_calls import (
     sizes_after,
 )
 from kvision.augmentation.engine.list_chains import replay_chain, run_chain
-from kvision.augmentation.engine.list_replays import ReplayedParts, replay_list, replayed_record
+from kvision.augmentation.engine.list_replays import replay_list, replayed_record
 from kvision.augmentation.engine.list_runs import run_list
 from kvision.augmentation.engine.lists import list_plan
 from kvision.augmentation.engine.record import ParamItem, Record
@@ -114,7 +114,7 @@ class ListCaller(ChainExecutor):
             y, record = replay_chain(self, images, params, context), self._record_of_part
         if y is None:
             return None
-        parts = ReplayedParts(context.op, images, params, record)
+        parts = Parts.of_params(context.op, params, [tuple(x.shape) for x in images], images, record)
         return self._with_labels_of_list(keys, inputs, self._as_batch(y), parts), Record(parts=parts, items=params)
 
     def _as_batch(self, y: Any) -> Any:

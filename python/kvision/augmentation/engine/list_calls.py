@@ -9,6 +9,7 @@ they had before, and a list otherwise.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
 from itertools import chain
 from typing import Any, TypeVar
 
@@ -35,11 +36,18 @@ class Parts:
     Args:
         op: of errors.
         rows: the numbers of the images of each part.
-        calls: of each part an Execution, or the Record of a container.
+        calls: of each part an Execution, or the Record of a container; or what gives all of them when they are asked for.
+        shape: (B, C, H, W) with the largest sides; default: that of the calls.
     """
 
-    def __init__(self, op: str, rows: Sequence[Sequence[int]], calls: Sequence[Any] = ()) -> None:
-        self.op, self.rows, self.calls = op, rows, list(calls)
+    def __init__(
+        self,
+        op: str,
+        rows: Sequence[Sequence[int]],
+        calls: Sequence[Any] | Callable[[], list[Any]],
+        shape: tuple[int, ...] | None = None,
+    ) -> None:
+        self.op, self.rows, self._calls, self._shape = op, rows, calls, shape
         self.count = sum(map(len, rows))
 
     @classmethod
@@ -50,17 +58,24 @@ class Parts:
 
         Images that no child augmented have None for a shape: that of their results.
         """
-        parts = cls(op, [[b] for b in range(len(shapes))])
-        for b, shape in enumerate(shapes):
-            output = torch.empty(1, 1, 1, device="cpu") if outputs is None else outputs[b]
-            own = tuple(output.shape) if shape is None else shape
-            parts.calls.append(call(output.new_empty(1), (1, *own), params_of_rows(params, [b], len(shapes))))
-        return parts
+        outputs, count = [torch.empty(1, 1, 1, device="cpu")] * len(shapes) if outputs is None else outputs, len(shapes)
+        known = [tuple(output.shape if shape is None else shape) for shape, output in zip(shapes, outputs)]
+        like = outputs[0].new_empty(1)  # and not the results, which would be kept
+
+        def calls() -> list[Any]:
+            return [call(like, (1, *own), params_of_rows(params, [b], count)) for b, own in enumerate(known)]
+
+        return cls(op, [[b] for b in range(count)], calls, (count, *map(max, zip(*known))))
+
+    @cached_property
+    def calls(self) -> Sequence[Any]:
+        """What each part drew and did."""
+        return self._calls() if callable(self._calls) else self._calls
 
     @property
     def shape(self) -> tuple[int, ...]:
         """(B, C, H, W) with the largest sides."""
-        return (self.count, *map(max, zip(*(call.shape[1:] for call in self.calls))))
+        return self._shape or (self.count, *map(max, zip(*(call.shape[1:] for call in self.calls))))
 
     def views(self, module: Module) -> list[Module]:
         """The module as it is when the call of a part is its last one; calls of other threads do not see it."""
@@ -147,14 +162,15 @@ def call_in_parts(
     op, images = type(module).__name__, check_list(type(module).__name__, "input", inputs[keys.index(DataKey.INPUT)])
     refuse_list(op, modules)
     has_seeds = isinstance(seed, Tensor) and seed.dim() == 1
-    parts, each, seeds = Parts(op, _rows_of_parts(images, modules, has_seeds)), [], None
+    calls: list[Any] = []
+    parts, each, seeds = Parts(op, _rows_of_parts(images, modules, has_seeds), calls), [], None
     if params is None and len(parts.rows) > 1:
         seeds, generator = seeds_of_list(op, modules, parts.count, seed, generator or module.generator), None
     for rows in parts.rows:
         replayed = None if params is None else params_of_rows(params, rows, parts.count)
         own_seed = seed if seeds is None else seeds[list(rows)]
         outputs, done = call(parts.inputs(rows, keys, inputs), replayed, own_seed, generator)
-        parts.calls.append(done)
+        calls.append(done)
         each.append(outputs)
     return parts.outputs(keys, inputs, each, gives_one_size(module)), parts
 
@@ -310,7 +326,7 @@ def _joined_items(parts: Parts, each: Sequence[Sequence[Any]]) -> list[Any]:
             length = size if samples is None else len(samples)
             is_of_list = torch.zeros(length // size * parts.count, dtype=torch.bool, device="cpu")
             is_of_list[[i // size * parts.count + rows[i % size] for i in inside]] = True
-            data = joined(Parts(parts.op, [range(len(inside))]), [_data(item)])
+            data = joined(Parts(parts.op, [range(len(inside))], ()), [_data(item)])
             items_of_list.append(_replaced(item, data, is_of_list))
     return items_of_list
 

@@ -19,8 +19,7 @@ from kvision.augmentation.engine.augmentation import AugmentationBase
 from kvision.augmentation.engine.call_context import CallContext
 from kvision.augmentation.engine.execution import matrix_type
 from kvision.augmentation.engine.list_calls import Parts, joined, params_of_rows, refuse_list, seeds_of_list
-from kvision.augmentation.engine.list_replays import replay_list
-from kvision.augmentation.engine.list_runs import run_list
+from kvision.augmentation.engine.list_replays import run_or_replay
 from kvision.augmentation.engine.record import Child, ParamItem, Record, SomeParamItem
 from kvision.augmentation.engine.runs import execute, inside_child, runs_of
 from kvision.augmentation.engine.stages import Chain, Nested, Stage
@@ -57,7 +56,7 @@ class ChainParts(Parts):
         return [[b] for b in range(self.count)]
 
     @cached_property
-    def calls(self) -> list[Any]:  # type: ignore[override]
+    def calls(self) -> list[Any]:
         return [self._record(b) for b in range(self.count)]
 
     @property
@@ -73,7 +72,9 @@ class ChainParts(Parts):
                 for child in step.done(i)[0]:
                     of_child.setdefault(child.name, []).append((sample, child))
             for name, own in of_child.items():
-                data = joined(Parts(self.op, [[i] for i in range(len(own))]), [child.read_params() for _, child in own])
+                data = joined(
+                    Parts(self.op, [[i] for i in range(len(own))], ()), [child.read_params() for _, child in own]
+                )
                 samples = torch.zeros(self.count, dtype=torch.bool, device="cpu")
                 samples[[sample for sample, _ in own]] = True
                 is_of_all = own[0][1].samples is None
@@ -102,14 +103,13 @@ def run_chain(
     modules = list(module.modules())
     refuse_list(context.op, modules)
     seeds = seeds_of_list(context.op, modules, len(images), context.seed, generator or module.generator)
-    y, steps = _run_container(module, images, context._replace(seed=seeds, generator=None))
-    parts = ChainParts(context.op, images, y, steps)
-    return y, parts
+    y, steps = _run_container(module, images, None, context._replace(seed=seeds, generator=None))
+    return y, ChainParts(context.op, images, y, steps)
 
 
 def replay_chain(module: Any, images: list[Tensor], params: Any, context: CallContext) -> Any:
     """The results of a container on a list with given parameters, a list or a batch; None where others call it."""
-    return _replay_container(module, images, params, context) if _runs(module, images, context) else None
+    return _run_container(module, images, params, context)[0] if _runs(module, images, context) else None
 
 
 def _runs(module: Any, images: Sequence[Tensor], context: CallContext) -> bool:
@@ -141,12 +141,11 @@ def _is_plain(module: Any) -> bool:
 # --- execution ------------------------------------------------------------------------------------------------------
 
 
-def _run_container(module: Any, images: list[Tensor], context: CallContext) -> tuple[Any, list[_Step]]:
-    """The children of a container on images, whose seeds the context has."""
-    in_turns = module._in_turns(images, None, context)
+def _run_container(module: Any, images: list[Tensor], params: Any, context: CallContext) -> tuple[Any, list[_Step]]:
+    """The children of a container on images, whose seeds the context has, or with given parameters."""
+    in_turns = module._in_turns(images, params, context)
     if in_turns is None:
-        children = [Child(name, child) for name, child in module.named_children()]
-        return _run_children(images, children, context, context.position)
+        return _run_children(images, module._children_of_call(params, context), context, context.position)
     turns, own = in_turns
     results, steps = list(images), list[_Step]()
     for turn in turns:
@@ -164,7 +163,8 @@ def _run_turn(results: list[Tensor], turn: Turn, context: CallContext) -> list[_
             for sample in chosen:
                 owners[samples.index(sample)] = number
         own = own._replace(once=True, owners=torch.tensor(owners, device="cpu"))
-    y, steps = _run_children([results[i] for i in samples], turn.children, own, turn.position)
+    children = [replace(child, samples=None) for child in turn.children]
+    y, steps = _run_children([results[i] for i in samples], children, own, turn.position)
     for i, result in zip(samples, y):
         results[i] = result
     return [_Step([samples[i] for i in step.samples], _Chosen(step.done, owners)) for step in steps]
@@ -187,22 +187,22 @@ class _Chosen(NamedTuple):
 def _run_children(
     images: list[Tensor], children: Sequence[Child], context: CallContext, position: int
 ) -> tuple[Any, list[_Step]]:
-    """Children one after the other, each run and each container inside by itself."""
+    """Children one after the other, each run and each container inside by itself. A replay need not say what was done."""
     everything, steps = range(len(images)), list[_Step]()
     y: Any = images
     for run, is_joined in runs_of(children, context.plans):
         images = list(y)
-        own = context._replace(position=position)
-        done = run_list(images, run, own) if is_joined else None
+        done = run_or_replay(images, run, context._replace(position=position)) if is_joined else None
         module: Any = run[0].module
         if done is not None:
             y, parts = done
-            steps.append(_Step(everything, parts.done))
+            steps.append(_Step(everything, None if parts is None else parts.done))
         elif not is_joined and _is_plain(module):
             inside = module._inside(inside_child(context, position))
-            y, more = _run_container(module, images, inside)
+            y, more = _run_container(module, images, run[0].params, inside)
             parts_inside = ChainParts(context.op, images, y, more)
-            module._keep(Record(parts=parts_inside))
+            if run[0].params is None:
+                module._keep(Record(parts=parts_inside))
             steps.append(_Step(everything, _Inside(run[0], parts_inside)))
         else:
             y, each = _run_each(images, run, context, position)
@@ -230,7 +230,8 @@ def _run_each(
     results: list[Tensor] = []
     each: list[Done] = []
     for b, x in enumerate(images):
-        own, owners = [replace(child) for child in children], context.owners
+        own = [replace(child, params=params_of_rows(child.params, [b], len(images))) for child in children]
+        owners = context.owners
         alone = context._replace(seed=_rows(context.seed, [b], len(images)))
         if owners is not None:
             alone = alone._replace(owners=owners[b : b + 1])
@@ -240,43 +241,8 @@ def _run_each(
     return results, each
 
 
-# --- replay ---------------------------------------------------------------------------------------------------------
-
-
-def _replay_container(module: Any, images: list[Tensor], params: Any, context: CallContext) -> Any:
-    """The children of a container on images with given parameters."""
-    children = module._children_of_call(params, context)
-    if all(child.samples is None for child in children):
-        return _replay_children(images, children, context)
-    results = list(images)
-    for turn in module._turns_of_params(children, len(images)):
-        own = [replace(child, samples=None) for child in turn.children]
-        y = _replay_children([results[i] for i in turn.samples], own, context)
-        for i, result in zip(turn.samples, y):
-            results[i] = result
-    return results
-
-
-def _replay_children(images: list[Tensor], children: Sequence[Child], context: CallContext) -> Any:
-    y: Any = images
-    for run, is_joined in runs_of(children, context.plans):
-        images, module = list(y), run[0].module
-        done = replay_list(images, run, context) if is_joined else None
-        if done is not None:
-            y = done
-        elif not is_joined and _is_plain(module):
-            y = _replay_container(module, images, run[0].params, module._inside(context))  # type: ignore[operator]
-        else:
-            y = []
-            for b, x in enumerate(images):
-                own = [replace(child, params=params_of_rows(child.params, [b], len(images))) for child in run]
-                y.append(execute(x[None], own, context)[0][0])
-    return y
-
-
 def _rows(seed: Seed, samples: Sequence[int], count: int) -> Seed:
-    assert isinstance(seed, Tensor)
-    return seed if len(samples) == count else read_rows(seed, samples)
+    return read_rows(seed, samples) if isinstance(seed, Tensor) and len(samples) < count else seed
 
 
 __all__ = ["ChainParts", "replay_chain", "run_chain"]

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import cached_property
 from typing import Any, NamedTuple
 
 import torch
@@ -15,8 +14,9 @@ from kvision._constants import on_device
 from kvision._dtype import compute_dtype
 from kvision.augmentation.engine.call_context import CallContext
 from kvision.augmentation.engine.execution import Execution
-from kvision.augmentation.engine.list_calls import SIZES, Parts, params_of_rows
+from kvision.augmentation.engine.list_calls import SIZES, params_of_rows
 from kvision.augmentation.engine.list_runs import (
+    ListParts,
     NumbersOfEach,
     Sized,
     SizedNumbers,
@@ -24,6 +24,7 @@ from kvision.augmentation.engine.list_runs import (
     find_sized,
     grouped,
     record_of_run,
+    run_list,
     run_list_steps,
     takes_list,
 )
@@ -34,22 +35,14 @@ from kvision.augmentation.transforms import Transform
 from kvision.geometry.transform.lists.arguments import largest_shape, like_batch
 
 
-class ReplayedParts(Parts):
-    """The parts of a call with given parameters, each an image, for which `call` says what was done when they are asked for."""
-
-    def __init__(self, op: str, images: Sequence[Tensor], params: Any, call: Callable[[Tensor, Any, Any], Any]) -> None:
-        self.op, self.count, self._params, self._call = op, len(images), params, call
-        self._shapes, self._shape = [tuple(x.shape) for x in images], largest_shape(images)
-        self._like = images[0].new_empty(1)  # and not the images, which would be kept
-        self.rows = [[b] for b in range(self.count)]
-
-    @cached_property
-    def calls(self) -> list[Any]:  # type: ignore[override]
-        return Parts.of_params(self.op, self._params, self._shapes, [self._like] * self.count, self._call).calls
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        return self._shape
+def run_or_replay(
+    images: list[Tensor], children: Sequence[Child], context: CallContext
+) -> tuple[Any, ListParts | None] | None:
+    """The results of a run and its parts, None of a replay; None where others run or replay it."""
+    if children[0].params is None:
+        return run_list(images, children, context)
+    y = replay_list(images, children, context)
+    return None if y is None else (y, None)
 
 
 def replayed_record(
@@ -153,16 +146,17 @@ def _make(
     has_pixels = any(m._param_generator is not None and m._param_generator.per_pixel for m in modules)
     if sized is None or has_pixels or context.output.memory_format is not None:
         return None
-    shape = (len(images), images[0].shape[0])
-    if not _has_same_columns(children, shape, None):
+    count = len(images)
+    if not _has_same_columns(sized, children, count, None):
         return None
-    none = torch.zeros(len(images), dtype=torch.bool, device="cpu")
-    return _Replay(sized, sized.numbers(has_draws=False), not _has_same_columns(children, shape, none))
+    none = torch.zeros(count, dtype=torch.bool, device="cpu")
+    return _Replay(sized, sized.numbers(has_draws=False), not _has_same_columns(sized, children, count, none))
 
 
-def _has_same_columns(children: Sequence[Child], shape: tuple[int, int], chosen: Tensor | None) -> bool:
-    """Whether the columns of given parameters do not depend on the size of images (B, C)."""
-    for child, *shapes in zip(children, *(_shapes(children, (*shape, *size)) for size in SIZES)):
+def _has_same_columns(sized: Sized, children: Sequence[Child], count: int, chosen: Tensor | None) -> bool:
+    """Whether the columns of given parameters of so many images do not depend on their size."""
+    each = [[(count, *shape[1:]) for shape in sized.reading.shapes(size)] for size in SIZES]
+    for child, *shapes in zip(children, *each):  # those behind have one size
         own: Any = child.module
         columns = [
             own._columns_of(child.params, of_size, torch.device("cpu"), chosen).drawn
@@ -174,17 +168,8 @@ def _has_same_columns(children: Sequence[Child], shape: tuple[int, int], chosen:
     return True
 
 
-def _shapes(children: Sequence[Child], shape: tuple[int, ...]) -> list[tuple[int, ...]]:
-    """The shapes of the images of each child."""
-    shapes = [shape]
-    for child in children:
-        module: Any = child.module
-        shapes.append(module.output_shape(shapes[-1], module.flags))
-    return shapes[:-1]
-
-
 def _takes_list(step: Step, modules: Sequence[Any], dtype: torch.dtype) -> bool:
     return takes_list(step, modules, dtype) and (not isinstance(step, Alone) or modules[step.number].replays_lists)
 
 
-__all__ = ["ReplayedParts", "replay_list", "replayed_record"]
+__all__ = ["replay_list", "replayed_record", "run_or_replay"]

@@ -483,7 +483,7 @@ class ListParts(Parts):
         return [[samples[i] for i in rows] for samples, run in self._runs for rows in run.rows()]
 
     @cached_property
-    def calls(self) -> list[Any]:  # type: ignore[override]
+    def calls(self) -> list[Any]:
         records = [run.record(rows) for _, run in self._runs for rows in run.rows()]
         return [record if self._child is None else record.children[self._child].record for record in records]
 

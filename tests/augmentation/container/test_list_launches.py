@@ -157,6 +157,9 @@ REPLAYS = {
     "run": lambda: A.ImageSequential(A.RandomAffine(20.0), A.RandomErasing(), A.ColorJitter(0.2, 0.2, 0.2, 0.1)),
     "late crop": lambda: A.ImageSequential(A.RandomAffine(20.0), A.RandomResizedCrop((12, 14)), A.RandomInvert()),
     "augmentation": lambda: A.RandomRotation(20.0),
+    "choices inside": lambda: A.ImageSequential(
+        A.RandomApply(A.RandomAffine(20.0, p=1.0), A.RandomErasing(p=1.0)), A.OneOf(A.RandomErasing(), A.RandomInvert())
+    ),
 }
 
 

@@ -314,21 +314,37 @@ def _joined_rows(parts: Parts, values: Sequence[Any]) -> Any:
 
 
 def _joined_items(parts: Parts, each: Sequence[Sequence[Any]]) -> list[Any]:
-    kinds = [[_kind(item) for item in items] for items in each]
-    if all(kind == kinds[0] for kind in kinds) and all(_samples(item) is None for item in chain(*each)):
-        return [_replaced(items[0], joined(parts, [_data(item) for item in items])) for items in zip(*each)]
     items_of_list = []
-    for rows, items in zip(parts.rows, each):
-        size = len(rows)
-        for item in items:
-            samples = _samples(item)
-            inside = range(size) if samples is None else samples.nonzero()[:, 0].tolist()
-            length = size if samples is None else len(samples)
+    for rows, items in _by_children(parts, each):
+        numbers = sorted(chain(*rows))
+        size, group = len(numbers), Parts(parts.op, [[numbers.index(i) for i in own] for own in rows], ())
+        for of_child in zip(*items):
+            samples, data = _samples(of_child[0]), list(map(_data, of_child))
+            if samples is None and size == parts.count:
+                items_of_list.append(_replaced(of_child[0], joined(group, data)))
+                continue
+            if len(rows) > 1 or samples is None:
+                inside, length, own = range(size), size, group
+            else:
+                inside, length = samples.nonzero()[:, 0].tolist(), len(samples)
+                own = Parts(parts.op, [range(len(inside))], ())
             is_of_list = torch.zeros(length // size * parts.count, dtype=torch.bool, device="cpu")
-            is_of_list[[i // size * parts.count + rows[i % size] for i in inside]] = True
-            data = joined(Parts(parts.op, [range(len(inside))], ()), [_data(item)])
-            items_of_list.append(_replaced(item, data, is_of_list))
+            is_of_list[[i // size * parts.count + numbers[i % size] for i in inside]] = True
+            items_of_list.append(_replaced(of_child[0], joined(own, data), is_of_list))
     return items_of_list
+
+
+def _by_children(parts: Parts, each: Sequence[Sequence[Any]]) -> list[tuple[list[Sequence[int]], list[Sequence[Any]]]]:
+    """The rows and the items of parts: together those of parts whose samples all got the same children, so that a replay is one."""
+    groups: dict[Any, tuple[list[Sequence[int]], list[Sequence[Any]]]] = {}
+    for rows, items in zip(parts.rows, each):
+        samples = [_samples(item) for item in items]
+        is_of_all = all(own is None or len(own) == len(rows) == 1 for own in samples)
+        key = [(_kind(item), own is None) for item, own in zip(items, samples)] if is_of_all else rows
+        of_rows, of_items = groups.setdefault(tuple(key), ([], []))
+        of_rows.append(rows)
+        of_items.append(items)
+    return list(groups.values())
 
 
 def params_of_rows(params: Any, rows: Sequence[int], count: int) -> Any:

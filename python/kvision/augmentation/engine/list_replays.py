@@ -32,7 +32,7 @@ from kvision.augmentation.engine.passes import Alone, Running, Step, plan_steps
 from kvision.augmentation.engine.record import Child, Record
 from kvision.augmentation.engine.runs import Call, replayed, runs_of
 from kvision.augmentation.transforms import Transform
-from kvision.geometry.transform.lists.arguments import largest_shape, like_batch
+from kvision.geometry.transform.lists.arguments import like_batch
 
 
 def run_or_replay(

@@ -1,6 +1,6 @@
-// pyrdown and antialiased bilinear resizing of half types by a factor near two on CUDA, where coordinates drift along a
-// row, so that windows are no constants (those of exactly two are in resize_octave.cu). A thread goes down a group of
-// four pixels of the result (core/stencils/column_groups.cuh), whose windows begin at 2 j or 2 j + 1.
+// pyrdown and antialiased bilinear resizing of half types and bytes by a factor near two on CUDA, where coordinates
+// drift along a row, so that windows are no constants (those of exactly two are in resize_octave.cu). A thread goes
+// down a group of four pixels of the result (core/stencils/column_groups.cuh), whose windows begin at 2 j or 2 j + 1.
 #include "core/stencils/column_groups.cuh"
 #include "geometry/transform/resize/resize.h"
 
@@ -139,7 +139,7 @@ __global__ void __launch_bounds__(256)
             h[j] = t == 0 ? weights[j][0] * v[2 * j] : fmaf(weights[j][t], v[2 * j + t], h[j]);
         }
       }
-      if constexpr (!kPyrdown<Filter>) {
+      if constexpr (!kPyrdown<Filter> && sizeof(T) > 1) {
         float poison = 0;
 #pragma unroll
         for (int j = 0; j < P; ++j) poison += h[j] * 0;
@@ -184,8 +184,9 @@ int resize_near_half(Resize<T> const& p, CUstream_st* stream) {
            axis.source >= 2 * axis.result && 4 * axis.source <= 9 * axis.result && axis.result >= P &&
            axis.source >= 16;
   };
-  // Even widths are faster by strips (antialiased 1.4 times at 375x500).
-  bool const planar = p.x.step == 1 && p.y.step == 1 && p.x.width % 2 == 1 && !p.minuend;
+  // Even widths are antialiased faster by strips (1.4 times at 375x500).
+  bool const is_pyrdown = p.columns.filter == ResizeFilter::pyrdown;
+  bool const planar = p.x.step == 1 && p.y.step == 1 && (is_pyrdown || p.x.width % 2 == 1) && !p.minuend;
   if (!planar || !serves(p.rows) || !serves(p.columns)) return kUnsupported;
   ColumnGroups<P> const groups(p.y.count(), p.y.height, p.y.width, kRows, 0);
   constexpr int kBytes = P * int(sizeof(T));
@@ -195,7 +196,7 @@ int resize_near_half(Resize<T> const& p, CUstream_st* stream) {
     else
       near_half_groups<T, filter.value, 0><<<groups.blocks(), groups.threads, 0, stream>>>(p, groups);
   };
-  if (p.columns.filter == ResizeFilter::pyrdown)
+  if (is_pyrdown)
     launch(std::integral_constant<ResizeFilter, ResizeFilter::pyrdown>{});
   else
     launch(std::integral_constant<ResizeFilter, ResizeFilter::bilinear>{});
@@ -204,5 +205,6 @@ int resize_near_half(Resize<T> const& p, CUstream_st* stream) {
 
 template int resize_near_half(Resize<Half> const&, CUstream_st*);
 template int resize_near_half(Resize<BFloat16> const&, CUstream_st*);
+template int resize_near_half(Resize<uint8_t> const&, CUstream_st*);
 
 }  // namespace kv::geometry::cuda

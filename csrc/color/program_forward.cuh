@@ -3,6 +3,7 @@
 
 #include "program.cuh"
 #include "program_bytes.h"
+#include "program_step.h"
 
 namespace kv::color::cuda {
 namespace {
@@ -70,8 +71,10 @@ __global__ void __launch_bounds__(kThreads) run(__grid_constant__ Program<F> con
 
 template <class F>
 int program(Program<F> const& params, CUstream_st* stream) {
-  if constexpr (sizeof(F) == 4)
+  if constexpr (sizeof(F) == 4) {
+    if (takes_step(params)) return program_of_step(params, stream);
     if (takes_bytes(params)) return program_of_bytes(params, stream);
+  }
   Program<F> p = params;
   constexpr int P = kPixelsPerThread<F>;
   set_access<F, P>({&p.x, &p.y}, p.samples);

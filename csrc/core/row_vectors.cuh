@@ -46,19 +46,11 @@ struct AlignedBody {
   }
 };
 
-// The P elements from `from` on, wherever they begin: 16 bytes of the two aligned vectors that contain them. Of vectors
-// that reach behind `end`, where the memory may end, elements are read one by one.
-template <int P, class T>
-__device__ __forceinline__ Vector<T, P> load_unaligned(T const* from, T const* end) {
-  static_assert(P * sizeof(T) == 16);
+// The 16 bytes from `from` on, wherever they begin, of the two aligned vectors that contain them.
+template <class T>
+__device__ __forceinline__ Vector<uint32_t, 4> load_shifted(T const* from) {
   unsigned const bytes = unsigned(reinterpret_cast<uintptr_t>(from) % 16);
-  auto const* const around = reinterpret_cast<uint4 const*>(reinterpret_cast<uintptr_t>(from) - bytes);
-  Vector<T, P> vector;
-  if (reinterpret_cast<T const*>(around + 2) > end) {
-#pragma unroll
-    for (int i = 0; i < P; ++i) vector.v[i] = from + i < end ? from[i] : T{};
-    return vector;
-  }
+  auto const* const around = reinterpret_cast<uint4 const*>(from - bytes / sizeof(T));
   uint4 const low = around[0], high = around[1];
   uint32_t words[] = {low.x, low.y, low.z, low.w, high.x, high.y, high.z, high.w};
   bool const by_two = bytes & 8, by_one = bytes & 4;
@@ -69,7 +61,21 @@ __device__ __forceinline__ Vector<T, P> load_unaligned(T const* from, T const* e
   if constexpr (sizeof(T) < 4)
 #pragma unroll
     for (int i = 0; i < 4; ++i) words[i] = __funnelshift_r(words[i], words[i + 1], 8 * (bytes & 3));
-  __builtin_memcpy(&vector, words, 16);
+  return {words[0], words[1], words[2], words[3]};
+}
+// The P elements from `from` on. Of vectors that reach behind `end`, where the memory may end, elements are read one by
+// one.
+template <int P, class T>
+__device__ __forceinline__ Vector<T, P> load_unaligned(T const* from, T const* end) {
+  static_assert(P * sizeof(T) == 16);
+  Vector<T, P> vector;
+  if (from - reinterpret_cast<uintptr_t>(from) % 16 / sizeof(T) + 2 * P > end) {
+#pragma unroll
+    for (int i = 0; i < P; ++i) vector.v[i] = from + i < end ? from[i] : T{};
+  } else {
+    auto const words = load_shifted(from);
+    __builtin_memcpy(&vector, words.v, sizeof(vector));
+  }
   return vector;
 }
 

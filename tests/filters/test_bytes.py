@@ -38,8 +38,9 @@ GROUPS: dict[str, tuple[Call, str, int]] = {
     "sharpness": (partial(enhance.sharpness, factor=1.7), "run_groups", 1),
 }
 POINTWISE: dict[str, tuple[Call, str]] = {
-    "gray": (color.rgb_to_grayscale, "run_bytes"),
-    "brightness": (partial(enhance.adjust_brightness, factor=0.1), "run_bytes"),
+    "gray": (color.rgb_to_grayscale, "run_one_step"),
+    "brightness": (partial(enhance.adjust_brightness, factor=0.1), "run_one_step"),
+    "gamma": (partial(enhance.adjust_gamma, gamma=0.7), "run_bytes"),
     "equalize": (enhance.equalize, "equalize_parts"),
     "clahe": (enhance.equalize_clahe, "map_cells"),
     "hsv": (color.rgb_to_hsv, "run"),

@@ -1,6 +1,9 @@
 // Flips and crops on CUDA. Each thread copies vectors of 16 bytes: of a few rows where those of image and result are
 // aligned alike, else of one row.
+#include <cmath>
+
 #include "core/row_vectors.cuh"
+#include "core/stencils/column_groups.cuh"
 #include "geometry/transform/flip.h"
 
 namespace kv::geometry::cuda {
@@ -111,6 +114,50 @@ __global__ void __launch_bounds__(kThreads) reverse_pixels(__grid_constant__ Fli
   }
 }
 
+// Crops between pixels: a thread goes down a group of columns (core/stencils/column_groups.cuh) with the means along x
+// of the row above.
+constexpr int kCropRows = 16, kAhead = 2;  // of a block; in flight
+
+template <class T, int Bytes>
+__global__ void __launch_bounds__(256)
+    crop_between_groups(__grid_constant__ CropBetween<T> const p,
+                        __grid_constant__ ColumnGroups<kGroupPixels<T>> const groups) {
+  constexpr int P = kGroupPixels<T>;
+  int64_t plane;
+  int x, y0;
+  groups.locate(plane, x, y0);
+  int const y1 = min(y0 + groups.rows, int(p.y.height)), last = y1 - 1 + p.rows;
+  using Rows = GroupRows<T, P + 1, 0>;
+  Rows const reader(p.x, plane, p.left + x, Border::constant);
+  GroupStore<T, P, Bytes> out(p.y, plane, x, y0);
+  auto const fetch = [&](int y) { return reader.fetch(p.top + min(y, last)); };
+  auto const means_of = [&](typename Rows::Fetched const& row, float(&means)[P]) {
+    float v[P + 1];
+    reader.unpack(row, v);
+#pragma unroll
+    for (int j = 0; j < P; ++j) means[j] = fmaf(.5f, v[j], .5f * (p.columns ? v[j + 1] : v[j]));
+  };
+  float above[P];
+  means_of(fetch(y0), above);
+  typename Rows::Fetched ahead[kAhead];
+#pragma unroll
+  for (int i = 0; i < kAhead; ++i) ahead[i] = fetch(y0 + p.rows + i);
+#pragma unroll 1
+  for (int first = y0; first < y1; first += kAhead)
+#pragma unroll
+    for (int i = 0; i < kAhead; ++i) {
+      int const y = first + i;
+      if (i > 0 && y >= y1) break;
+      float below[P], means[P];
+      means_of(ahead[i], below);
+      ahead[i] = fetch(y + p.rows + kAhead);
+#pragma unroll
+      for (int j = 0; j < P; ++j)
+        means[j] = fmaf(.5f, p.rows ? above[j] : below[j], .5f * below[j]), above[j] = below[j];
+      out.put(means);
+    }
+}
+
 }  // namespace
 
 template <class T>
@@ -139,5 +186,36 @@ int flip(Flip<T> const& p, CUstream_st* stream) {
 }
 
 KV_INSTANTIATE_WITH_BYTES(flip, Flip)
+
+// Special case, H200: TODO times as fast as a warp by a translation.
+template <class T>
+bool is_crop_between(Planes<T const> const& x, int64_t height, int64_t width, double top, double left) {
+  auto const fits = [](double first, int64_t size, int64_t from) {
+    return 2 * first == std::floor(2 * first) && first >= 0 && std::ceil(first) + double(size) <= double(from);
+  };
+  return supports_groups<kGroupPixels<T>, 0>(x) && width >= kGroupPixels<T> && x.height <= INT32_MAX / 2 &&
+         fits(left, width, x.width) && fits(top, height, x.height);
+}
+
+template <class T>
+int crop_between(CropBetween<T> const& p, CUstream_st* stream) {
+  constexpr int P = kGroupPixels<T>;
+  ColumnGroups<P> const groups(p.y.count(), p.y.height, p.y.width, kCropRows, 0);
+  with_row_bytes<P>(
+      [&](auto bytes) {
+        crop_between_groups<T, bytes.value><<<groups.blocks(), groups.threads, 0, stream>>>(p, groups);
+      },
+      p.y);
+  return cudaGetLastError();
+}
+
+#define KV_CROP_BETWEEN(T)                                                                 \
+  template bool is_crop_between(Planes<T const> const&, int64_t, int64_t, double, double); \
+  template int crop_between(CropBetween<T> const&, CUstream_st*);
+KV_CROP_BETWEEN(float)
+KV_CROP_BETWEEN(Half)
+KV_CROP_BETWEEN(BFloat16)
+KV_CROP_BETWEEN(uint8_t)
+#undef KV_CROP_BETWEEN
 
 }  // namespace kv::geometry::cuda

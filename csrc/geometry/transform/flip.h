@@ -17,4 +17,24 @@ struct Flip {
 
 KV_KERNEL(flip, Flip)
 
+// Crops of planar images that lie between pixels, halfway along an axis or both: means of two pixels or four. On CUDA
+// only; elsewhere they are warps.
+namespace cuda {
+
+template <class T>
+struct CropBetween {
+  Planes<T const> x;
+  Planes<T> y;
+  int top, left;  // of the first pixel of x that is read; all are in bounds
+  bool rows, columns;
+};
+
+// Whether the crop of height x width whose first pixel lies at those coordinates of x is one.
+template <class T>
+bool is_crop_between(Planes<T const> const& x, int64_t height, int64_t width, double top, double left);
+
+template <class T>
+int crop_between(CropBetween<T> const& p, CUstream_st* stream);
+
+}  // namespace cuda
 }  // namespace kv::geometry

@@ -1,4 +1,5 @@
 // Warps by a matrix: schemas and entries, for CPU and CUDA.
+#include "geometry/transform/flip.h"
 #include "geometry/transform/warp_glue.h"
 
 namespace kv::geometry {
@@ -15,6 +16,27 @@ Tensor warp(Tensor const& image, Tensor const& matrix, std::optional<Tensor> con
   return warped(image, a, {op, matrix, image, sampled.samples, inverse, normalized, align_corners, source, output});
 }
 
+#if defined(KV_CUDA)
+// The crop of planar images whose first pixel lies at (top, left), if it lies between pixels.
+std::optional<Tensor> cropped_between(char const* op, Tensor const& image, Size output, double top, double left) {
+  if (image.scalar_type() == ScalarType::Double || layout_of(image) != Layout::planar || image.numel() == 0) return {};
+  std::optional<Tensor> result;
+  Tensor const x = dense(image);
+  dispatch_floating_and_uint8(op, x, [&](auto type) {
+    using T = typename decltype(type)::type;
+    if constexpr (sizeof(T) < 8) {
+      auto const from = planes<T const>(x, Layout::planar);
+      if (!cuda::is_crop_between(from, output.height, output.width, top, left)) return;
+      result = empty({x.size(0), x.size(1), output.height, output.width}, x);
+      cuda::CropBetween<T> const params{
+          from, planes<T>(*result, Layout::planar), int(top), int(left), top != int(top), left != int(left)};
+      KV_RUN(crop_between, x, params, params.y.rows(), 0);
+    }
+  });
+  return result;
+}
+#endif
+
 Tensor warp_by_formula(Tensor const& x, std::optional<Tensor> const& a, std::optional<Tensor> const& b,
                        std::optional<Tensor> const& c, std::optional<Tensor> const& d, std::optional<Tensor> const& e,
                        std::optional<Tensor> const& f, std::optional<Tensor> const& image_index, int64_t formula,
@@ -30,6 +52,11 @@ Tensor warp_by_formula(Tensor const& x, std::optional<Tensor> const& a, std::opt
   SampledImages const sampled(op, image_index, x.size(0), rows, x);
   SamplingOptions const options(op, interpolation, padding, align_corners, x, {}, sampled);
   int64_t const samples = sampled.samples;
+#if defined(KV_CUDA)
+  bool const moves_by_numbers = formula == int64_t(WarpFormula::translation_matrix2d) && !a && numbers.size() == 2;
+  if (moves_by_numbers && options.interpolation == Interpolation::bilinear && !image_index && !inverse && !normalized)
+    if (auto const cropped = cropped_between(op, x, output, numbers[1], numbers[0])) return *cropped;
+#endif
   auto const run = [&](WarpMatrix const& m) {
     return warped(x, options, {m, inverse, normalized, align_corners, source, output});
   };

@@ -63,18 +63,22 @@ __device__ __forceinline__ Vector<uint32_t, 4> load_shifted(T const* from) {
     for (int i = 0; i < 4; ++i) words[i] = __funnelshift_r(words[i], words[i + 1], 8 * (bytes & 3));
   return {words[0], words[1], words[2], words[3]};
 }
-// The P elements from `from` on. Of vectors that reach behind `end`, where the memory may end, elements are read one by
-// one.
+// Whether the two vectors are before `end`, where the memory may end.
+template <int P, class T>
+__device__ __forceinline__ bool is_within(T const* from, T const* end) {
+  static_assert(P * sizeof(T) == 16);
+  return from - reinterpret_cast<uintptr_t>(from) % 16 / sizeof(T) + 2 * P <= end;
+}
+// The P elements from `from` on. Of vectors that reach behind `end`, elements are read one by one.
 template <int P, class T>
 __device__ __forceinline__ Vector<T, P> load_unaligned(T const* from, T const* end) {
-  static_assert(P * sizeof(T) == 16);
   Vector<T, P> vector;
-  if (from - reinterpret_cast<uintptr_t>(from) % 16 / sizeof(T) + 2 * P > end) {
-#pragma unroll
-    for (int i = 0; i < P; ++i) vector.v[i] = from + i < end ? from[i] : T{};
-  } else {
+  if (is_within<P>(from, end)) {
     auto const words = load_shifted(from);
     __builtin_memcpy(&vector, words.v, sizeof(vector));
+  } else {
+#pragma unroll
+    for (int i = 0; i < P; ++i) vector.v[i] = from + i < end ? from[i] : T{};
   }
   return vector;
 }

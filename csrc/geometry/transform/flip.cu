@@ -47,38 +47,42 @@ __global__ void __launch_bounds__(kThreads)
   }
 }
 
-// Rows that begin anywhere: 2^shift threads copy a row of the result, by its aligned vectors. Each is read from the two
-// aligned vectors of the image that contain it, or by element where part of it is out of bounds.
+// Rows that begin anywhere: `threads` of them copy a row of the result, each one of its aligned vectors. It is read
+// from the two aligned vectors of the image that contain it, or by element where part of it is out of bounds.
 template <class T, int P>
 __global__ void __launch_bounds__(kThreads)
-    flip_unaligned_rows(__grid_constant__ Flip<T> const p, int shift, T const* image_end) {
-  unsigned const i = blockIdx.x * kThreads + threadIdx.x, row = i >> shift, plane = row / unsigned(p.y.height);
+    flip_unaligned_rows(__grid_constant__ Flip<T> const p, unsigned threads, T const* image_end) {
+  unsigned const i = blockIdx.x * kThreads + threadIdx.x, row = i / threads, plane = row / unsigned(p.y.height);
   if (plane >= p.y.count()) return;
-  int const threads = 1 << shift, t = int(i) & (threads - 1), y = int(row - plane * unsigned(p.y.height));
+  int const t = int(i - row * threads), y = int(row - plane * unsigned(p.y.height));
   int const size = int(p.x.row_size()), left = int(p.left) * int(p.x.step), height = int(p.x.height);
   int const from_y = p.rows ? height - 1 - y : y + int(p.top);
   bool const in_bounds = unsigned(from_y) < unsigned(height);
   T const* const in = p.x.row(plane, in_bounds ? from_y : 0);
   T* const out = p.y.row(plane, y);
   auto const source = [&](int e) { return p.columns ? size - 1 - e : e + left; };
-  auto const element = [&](int from) { return in_bounds && unsigned(from) < unsigned(size) ? in[from] : T{}; };
+  auto const copy = [&](int e) {
+    int const from = source(e);
+    out[e] = in_bounds && unsigned(from) < unsigned(size) ? in[from] : T{};
+  };
   AlignedBody<P, int> const body(out, 0, int(p.y.row_size()));
 #pragma unroll 1
-  for (int e = body.begin + t * P; e < body.end; e += threads * P) {
+  for (int e = body.begin + t * P; e < body.end; e += int(threads) * P) {
     int const first = p.columns ? source(e + P - 1) : source(e);
-    Vector<T, P> vector;
-    if (in_bounds && first >= 0 && first + P <= size) {
-      vector = load_unaligned<P>(in + first, image_end);
+    if (in_bounds && first >= 0 && first + P <= size && is_within<P>(in + first, image_end)) {
+      Vector<T, P> vector;
+      auto const words = load_shifted(in + first);
+      __builtin_memcpy(&vector, words.v, sizeof(vector));
+      store_reversed_if(out + e, vector, p.columns);
     } else {
-#pragma unroll
-      for (int l = 0; l < P; ++l) vector.v[l] = element(first + l);
+#pragma unroll 1
+      for (int l = 0; l < P; ++l) copy(e + l);
     }
-    store_reversed_if(out + e, vector, p.columns);
   }
 #pragma unroll 1
-  for (int e = t; e < body.begin; e += threads) out[e] = element(source(e));
+  for (int e = t; e < body.begin; e += int(threads)) copy(e);
 #pragma unroll 1
-  for (int e = body.end + t; e < body.last; e += threads) out[e] = element(source(e));
+  for (int e = body.end + t; e < body.last; e += int(threads)) copy(e);
 }
 
 // Rows of several channels whose pixels are adjacent, reversed pixel by pixel: a warp copies 32 x kColumns elements of
@@ -175,12 +179,10 @@ int flip(Flip<T> const& p, CUstream_st* stream) {
                       unsigned(min(p.y.count(), int64_t(65535))));
     reverse_pixels<<<blocks, kThreads, 0, stream>>>(p);
   } else {
-    int shift = 2;
-    while (shift < 5 && (1 << shift) < vectors) ++shift;
-    while (shift > 0 && p.y.rows() > UINT32_MAX >> (shift + 1)) --shift;
+    int64_t const threads = clamp(p.y.row_size() / P, int64_t(1), int64_t(UINT32_MAX) / p.y.rows());
     T const* const image_end = p.x.row(p.x.count() - 1, p.x.height - 1) + p.x.row_size();
     flip_unaligned_rows<T, P>
-        <<<unsigned(ceil_div(p.y.rows() << shift, kThreads)), kThreads, 0, stream>>>(p, shift, image_end);
+        <<<unsigned(ceil_div(p.y.rows() * threads, kThreads)), kThreads, 0, stream>>>(p, unsigned(threads), image_end);
   }
   return cudaGetLastError();
 }

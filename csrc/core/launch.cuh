@@ -483,6 +483,31 @@ inline int multiprocessors() {
   return count;
 }
 
+// How many blocks of a kernel the current device runs at a time. Launchers ask once for each kernel.
+template <class Kernel>
+int resident_blocks(Kernel* kernel, int threads) {
+  int each = 1;
+  cudaOccupancyMaxActiveBlocksPerMultiprocessor(&each, kernel, threads, 0);
+  return max(each, 1) * multiprocessors();
+}
+
+// The rows of blocks of an image, half to twice `rows`, whose waves take the least time. A wave, of `resident` blocks
+// at most, takes as long as a block: its rows and the `more` that it reads beside them. With the usual rows a few
+// blocks may make a wave of their own. blocks_of(rows) are needed; where they are many waves, `rows` it is.
+template <class BlocksOf>
+int rows_in_waves(int height, int rows, int more, int64_t resident, BlocksOf blocks_of) {
+  constexpr int kManyWaves = 8;
+  if (blocks_of(rows) > kManyWaves * resident) return rows;
+  int64_t least = INT64_MAX;
+  int best = rows;
+  for (int down = int(ceil_div(height, 2 * rows)); down <= ceil_div(2 * height, rows); ++down) {
+    int const each = int(ceil_div(height, down) + 1) / 2 * 2;  // many kernels take two rows at a time
+    int64_t const time = ceil_div(blocks_of(each), resident) * (each + more);
+    if (time < least) least = time, best = each;
+  }
+  return best;
+}
+
 // Splits planes into strips of 32 P columns and `rows` rows, one for each warp, x fastest: the warps of a block read
 // adjacent memory.
 template <int P = 4>
@@ -494,6 +519,11 @@ struct Strips {
         count(unsigned(planes * across * down)),
         rows(rows) {}
   KV_HD unsigned blocks(unsigned warps = 8) const { return (count + warps - 1) / warps; }
+  // Strips of about so many rows for a kernel; see rows_in_waves.
+  static Strips in_waves(int64_t planes, int64_t height, int64_t width, int rows, int more, int resident, int warps) {
+    auto const blocks_of = [&](int n) { return int64_t(Strips(planes, height, width, n).blocks(unsigned(warps))); };
+    return {planes, height, width, rows_in_waves(int(height), rows, more, resident, blocks_of)};
+  }
   // The plane of the warp's strip, the first column of the thread, the first row. False after the last strip.
   __device__ __forceinline__ bool locate(int64_t& plane, int& x, int& y) const {
     return locate(blockIdx.x, plane, x, y);

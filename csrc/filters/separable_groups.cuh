@@ -121,8 +121,9 @@ int launch_strips_or_groups(Separable<T> const& p, float divisor, CUstream_st* s
     bool const same_size = p.x.width == p.y.width && p.x.height == p.y.height;
     auto const launch = [&](auto bytes) {
       constexpr int kBytes = decltype(bytes)::value;
+      static int const resident = resident_blocks(separable_groups<T, K, P, kBytes>, kGroupThreads<K>);
       ColumnGroups<P, kGroupThreads<K>> const groups(p.x.count(), p.x.height, p.x.width, kGroupRows<K>,
-                                                     GroupRows<T, P, R, kBytes>::kReach);
+                                                     GroupRows<T, P, R, kBytes>::kReach, 2 * R, resident);
       separable_groups<T, K, P, kBytes><<<groups.blocks(), groups.threads, 0, stream>>>(p, groups, divisor);
       return int(cudaGetLastError());
     };

@@ -136,8 +136,9 @@ bool launch(Dilation<uint8_t> const& p, CUstream_st* stream) {
   if (!supports_groups<P, 1>(p.x)) return false;
   with_row_bytes<P>(
       [&](auto bytes) {
+        static int const resident = resident_blocks(dilation_3x3_bytes<P, bytes.value>, 256);
         ColumnGroups<P> const groups(p.x.count(), p.x.height, p.x.width, kRows,
-                                     GroupRows<uint8_t, P, 1, bytes.value>::kReach);
+                                     GroupRows<uint8_t, P, 1, bytes.value>::kReach, 2, resident);
         dilation_3x3_bytes<P, bytes.value><<<groups.blocks(), groups.threads, 0, stream>>>(p, groups);
       },
       p.x, p.y);

@@ -314,10 +314,12 @@ __global__ void median_any_of_list(__grid_constant__ MedianBlurList<T> const lis
 template <int K, int N, class T>
 void launch_strips(MedianBlur<T> const& p, CUstream_st* stream) {
   constexpr int P = N * kPixelsOfValue<T>;
-  Strips<P> const strips(p.x.count(), p.x.height, p.x.width, kRows);
   if constexpr (P > 4)  // too few strips to occupy the GPU: narrower ones
-    if (strips.count < 8 * unsigned(multiprocessors())) return launch_strips<K, N / 2>(p, stream);
+    if (Strips<P>(p.x.count(), p.x.height, p.x.width, kRows).count < 8 * unsigned(multiprocessors()))
+      return launch_strips<K, N / 2>(p, stream);
   with_alignment<T>(is_vectorizable<P>(p.x) && is_vectorizable<P>(p.y), [&](auto aligned) {
+    static int const resident = resident_blocks(median_strip<K, N, T, aligned.value>, kThreads);
+    auto const strips = Strips<P>::in_waves(p.x.count(), p.x.height, p.x.width, kRows, K - 1, resident, kThreads / 32);
     median_strip<K, N, T, aligned.value><<<strips.blocks(), kThreads, 0, stream>>>(p, strips);
   });
 }
@@ -329,8 +331,9 @@ bool launch_groups(MedianBlur<uint8_t> const& p, CUstream_st* stream) {
   if (p.ky != K || p.kx != K || !supports_groups<P, R>(p.x)) return false;
   with_row_bytes<P>(
       [&](auto bytes) {
+        static int const resident = resident_blocks(median_groups<K, N, bytes.value>, kThreads);
         ColumnGroups<P> const groups(p.x.count(), p.x.height, p.x.width, kRows,
-                                     GroupRows<uint8_t, P, R, bytes.value>::kReach);
+                                     GroupRows<uint8_t, P, R, bytes.value>::kReach, K - 1, resident);
         median_groups<K, N, bytes.value><<<groups.blocks(), groups.threads, 0, stream>>>(p, groups);
       },
       p.x, p.y);

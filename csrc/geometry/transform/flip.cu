@@ -202,9 +202,10 @@ bool is_crop_between(Planes<T const> const& x, int64_t height, int64_t width, do
 template <class T>
 int crop_between(CropBetween<T> const& p, CUstream_st* stream) {
   constexpr int P = kGroupPixels<T>;
-  ColumnGroups<P> const groups(p.y.count(), p.y.height, p.y.width, kCropRows, 0);
   with_row_bytes<P>(
       [&](auto bytes) {
+        static int const resident = resident_blocks(crop_between_groups<T, bytes.value>, 256);
+        ColumnGroups<P> const groups(p.y.count(), p.y.height, p.y.width, kCropRows, 0, p.rows, resident);
         crop_between_groups<T, bytes.value><<<groups.blocks(), groups.threads, 0, stream>>>(p, groups);
       },
       p.y);

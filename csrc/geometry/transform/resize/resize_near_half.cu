@@ -7,7 +7,7 @@
 namespace kv::geometry::cuda {
 namespace {
 
-constexpr int P = 4, kRows = 24;  // pixels of a group; rows of a block
+constexpr int P = 4, kRows = 24;  // pixels of a group; about the rows of a block
 constexpr int kAhead = 2;         // rows in flight
 template <ResizeFilter Filter>
 constexpr bool kPyrdown = Filter == ResizeFilter::pyrdown;
@@ -51,7 +51,7 @@ template <class T, ResizeFilter Filter, int Bytes>
 __global__ void __launch_bounds__(256)
     near_half_groups(__grid_constant__ Resize<T> const p, __grid_constant__ ColumnGroups<P> const groups) {
   constexpr int kTaps = cuda::kTaps<Filter>, kReach = cuda::kReach<Filter>, kRead = cuda::kRead<Filter>;
-  __shared__ Window<Filter> rows[kRows + 2];
+  __shared__ Window<Filter> rows[2 * kRows + 2];
   int64_t plane;
   int x, y0;
   groups.locate(plane, x, y0);
@@ -188,13 +188,16 @@ int resize_near_half(Resize<T> const& p, CUstream_st* stream) {
   bool const is_pyrdown = p.columns.filter == ResizeFilter::pyrdown;
   bool const planar = p.x.step == 1 && p.y.step == 1 && (is_pyrdown || p.x.width % 2 == 1) && !p.minuend;
   if (!planar || !serves(p.rows) || !serves(p.columns)) return kUnsupported;
-  ColumnGroups<P> const groups(p.y.count(), p.y.height, p.y.width, kRows, 0);
   constexpr int kBytes = P * int(sizeof(T));
   auto const launch = [&](auto filter) {
-    if (bytes_of_rows<P>(p.y) == kBytes)
-      near_half_groups<T, filter.value, kBytes><<<groups.blocks(), groups.threads, 0, stream>>>(p, groups);
-    else
-      near_half_groups<T, filter.value, 0><<<groups.blocks(), groups.threads, 0, stream>>>(p, groups);
+    auto const run = [&](auto bytes) {
+      auto* const kernel = near_half_groups<T, filter.value, bytes.value>;
+      static int const resident = resident_blocks(kernel, 256);
+      ColumnGroups<P> const groups(p.y.count(), p.y.height, p.y.width, kRows, 0, 4, resident);
+      kernel<<<groups.blocks(), groups.threads, 0, stream>>>(p, groups);
+    };
+    bytes_of_rows<P>(p.y) == kBytes ? run(std::integral_constant<int, kBytes>{})
+                                    : run(std::integral_constant<int, 0>{});
   };
   if (is_pyrdown)
     launch(std::integral_constant<ResizeFilter, ResizeFilter::pyrdown>{});

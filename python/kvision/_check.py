@@ -165,6 +165,12 @@ def channels(op: str, name: str, x: Any, count: int, error: type[Exception] = Sh
         )
 
 
+def rgb(op: str, shape: Sequence[int]) -> None:
+    """Raise unless images (*, C, H, W) of a shape have three channels."""
+    if shape[-3] != 3:
+        raise ShapeError(f"{op}: expected images with 3 channels, got {shape[-3]}{channels_advice(shape)}")
+
+
 def channels_advice(shape: Sequence[int]) -> str:
     """The end of an error about channels, for images whose last axis seems to have them, as in NumPy; else nothing."""
     axes = len(shape)

@@ -218,9 +218,9 @@ def test_images_without_colors_have_brightness_and_contrast(channels: int, devic
 
 def test_refusals() -> None:
     jitter, shift = A.ColorJitter(0.2, 0.2, 0.2, 0.1), A.RandomRGBShift(p=1.0)
-    with pytest.raises(ValueError, match=r"RandomRGBShift: expected images of 3 channels, got \(2, 1, 8, 8\)"):
+    with pytest.raises(ValueError, match=r"RandomRGBShift: expected images with 3 channels, got 1"):
         A.ImageSequential(A.RandomHorizontalFlip(), shift)(torch.rand(2, 1, 8, 8))
-    with pytest.raises(ValueError, match="RandomRGBShift: expected images of 3 channels"):
+    with pytest.raises(ValueError, match="RandomRGBShift: expected images with 3 channels"):
         shift(torch.rand(2, 4, 8, 8))
     with pytest.raises(TypeError, match="ImageSequential: expected input of a floating-point type or uint8"):
         A.ImageSequential(A.RandomHorizontalFlip())(torch.zeros(1, 3, 8, 8, dtype=torch.int64))

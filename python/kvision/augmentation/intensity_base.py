@@ -21,7 +21,6 @@ from kvision.augmentation.engine import (
 )
 from kvision.augmentation.warp_and_color import ColorStep, make_pass
 from kvision.color.steps import STEPS
-from kvision.core.exceptions import ShapeError
 
 __all__ = ["IntensityAugmentationBase2D", "IntensityAugmentationBase3D"]
 
@@ -72,9 +71,7 @@ class IntensityAugmentationBase2D(RigidAffineAugmentationBase2D, keeps_contract=
             return steps
         served = [_NOTHING if step.name in _OF_COLORS else step for step in steps]
         if any(STEPS[step.name].domain == "rgb" for step in served):
-            raise ShapeError(
-                f"{type(self).__name__}: expected images of 3 channels, got {tuple(shape)}{_check.channels_advice(shape)}"
-            )
+            _check.rgb(type(self).__name__, shape)
         return served
 
     def _declared(self, shape: Shape, flags: dict[str, Any]) -> Contribution:

@@ -33,7 +33,6 @@ from kvision.augmentation.random_generator.mapped import FactorsGenerator, Mappe
 from kvision.augmentation.ranges import Numbers
 from kvision.augmentation.samples import per_sample
 from kvision.color.hls import hls_to_rgb, rgb_to_hls
-from kvision.core.exceptions import ShapeError
 from kvision.geometry.transform.lists.kept_sizes import Operation, register_list
 
 _GAMMA = 2.2  # of the encoding that shot noise undoes
@@ -213,7 +212,7 @@ class ISONoise(IntensityAugmentationBase2D, keeps_contract=True):
     ) -> Tensor:
         if "_noise" in params:
             return self._operation(input, params)(input)
-        self._check_channels(input)
+        _check.rgb("ISONoise", input.shape)
         numbers = [params[name].to(input.device, compute_dtype(input)) for name in ("color_shift", "intensity")]
         maps = torch.cat(
             [params[name].to(input.device, torch.float32) for name in ("luminance_noise", "color_noise")], 1
@@ -222,15 +221,8 @@ class ISONoise(IntensityAugmentationBase2D, keeps_contract=True):
         return y
 
     def _operation(self, like: Tensor, params: Params) -> Operation:
-        self._check_channels(like)
+        _check.rgb("ISONoise", like.shape)
         return drawing(iso_noise, like, *params["_noise"])
-
-    @staticmethod
-    def _check_channels(x: Tensor) -> None:
-        if x.shape[1] != 3:
-            raise ShapeError(
-                f"ISONoise: expected images with 3 channels, got {tuple(x.shape)}{_check.channels_advice(x.shape)}"
-            )
 
 
 def multiplication(generator: FactorsGenerator, like: Tensor, params: Params) -> Operation:

@@ -18,7 +18,6 @@ from kvision.augmentation.random_generator.mapped import MappedGenerator
 from kvision.augmentation.ranges import Numbers
 from kvision.augmentation.warp_and_color import Resampling
 from kvision.constants import AnyResample, Resample
-from kvision.core.exceptions import ShapeError
 from kvision.geometry.transform.lists.arguments import like_batch
 
 ChromaticMode: TypeAlias = Literal["green_purple", "red_blue", "random"]
@@ -83,10 +82,7 @@ class ChromaticAberration(IntensityAugmentationBase2D, keeps_contract=True):
 
     def _formula(self, like: Tensor, params: Params) -> MapFormula:
         """The maps of the channels of images like a batch."""
-        if like.shape[1] != 3:
-            raise ShapeError(
-                f"ChromaticAberration: expected images with 3 channels, got {tuple(like.shape)}{_check.channels_advice(like.shape)}"
-            )
+        _check.rgb("ChromaticAberration", like.shape)
         names = ("primary_red", "secondary_red", "primary_blue", "secondary_blue")
         red, more_red, blue, more_blue = (params[name].to(like.device, compute_dtype(like)) for name in names)
         if self.mode != "random":

@@ -479,7 +479,7 @@ def test_masks_and_points_of_volumes_in_containers() -> None:
 
 TAKE_VOLUMES = """ColorJiggle ColorJitter Denormalize Normalize RandomAutoContrast RandomBrightness RandomChannelDropout
 RandomChannelShuffle RandomClahe RandomContrast RandomEqualize RandomGamma RandomGrayscale RandomHue RandomInvert
-RandomPosterize RandomRGBShift RandomSaturation RandomSharpness RandomSolarize""".split()
+RandomPosterize RandomRGBShift RandomSaturation RandomSharpness RandomSnow RandomSolarize""".split()
 
 
 @pytest.mark.parametrize("case", IMAGES, ids=lambda case: case.name)

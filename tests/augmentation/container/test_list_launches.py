@@ -54,7 +54,7 @@ def grows(augment, images):
 # The same of backward passes: what takes a call, or a launch of torch's operators, for each image.
 BACKWARD_BY_SIZE = {
     "an antialiased warp": {"RandomZoomOut"},
-    "a stencil": {"RandomMedianBlur", "RandomMotionBlur", "RandomSharpness", "RingingOvershoot"},
+    "a stencil": {"RandomMedianBlur", "RandomSharpness", "RingingOvershoot"},
     "statistics of the image": {"RandomAutoContrast", "RandomClahe", "RandomEqualize", "RandomJPEG"},
     "noise that is multiplied or clamped": {"CommonCorruption", "ISONoise", "MultiplicativeNoise", "SpeckleNoise"},
     "a layer": {
@@ -70,7 +70,6 @@ BACKWARD_BY_SIZE = {
         "Spatter",
     },
     "reads of neighbors": {"Downscale", "GlassBlur", "ZoomBlur"},
-    "colors by torch": {"RandomSnow"},
     "objects of the masks of a call": {"MaskDropout"},
 }
 

@@ -96,12 +96,16 @@ template <class T>
 __global__ void separable_any(Separable<T> const p, int rows, int reach) {
   filter_any(p, blockIdx.x, rows, reach);
 }
+template <class F>
+KV_HD int reach_of(Taps<F> const& ky) {
+  return max(ky.before, ky.size - 1 - ky.before);
+}
 template <class T>
-__global__ void separable_any_of_list(__grid_constant__ SeparableList<T> const list, int rows, int reach) {
+__global__ void separable_any_of_list(__grid_constant__ SeparableList<T> const list, int rows) {
   unsigned block;
   Separable<T> const* const p = sample_of_block(list, block);
   if (!p) return;
-  filter_any(*p, block, rows, reach);
+  filter_any(*p, block, rows, reach_of(p->ky));
 }
 
 // How blocks go down the columns of images: their reach, threads and shared memory.
@@ -109,8 +113,7 @@ template <class T>
 struct AnyBlocks {
   int reach, threads, bytes;
 
-  explicit AnyBlocks(Separable<T> const& p)
-      : reach(max(p.ky.before, p.ky.size - 1 - p.ky.before)), threads(kThreads), bytes(bytes_of(p)) {
+  explicit AnyBlocks(Separable<T> const& p) : reach(reach_of(p.ky)), threads(kThreads), bytes(bytes_of(p)) {
     while (threads > 8 && bytes > max_shared_bytes(kMaxSharedBytes)) threads /= 2, bytes = bytes_of(p);
   }
   int bytes_of(Separable<T> const& p) const {
@@ -140,7 +143,7 @@ int launch_any(SeparableList<T> const& p, CUstream_st* stream) {
   return launch_list(
       p, [&](Separable<T> const& one) { return plan.columns(one) * ceil_div(one.y.height, rows); },
       [&](SeparableList<T> const& list, unsigned blocks) {
-        separable_any_of_list<T><<<blocks, plan.threads, plan.bytes, stream>>>(list, rows, plan.reach);
+        separable_any_of_list<T><<<blocks, plan.threads, plan.bytes, stream>>>(list, rows);
       });
 }
 
@@ -177,10 +180,21 @@ struct TileMemory {
   int across, pitch, rows;  // pixels read of a row; their pitch, odd: a column lies in different banks; filtered rows
   int kx, ky;
   template <class F>
-  TileMemory(Taps<F> const& x, Taps<F> const& y)
+  KV_HD TileMemory(Taps<F> const& x, Taps<F> const& y)
       : across(kTileWidth + x.size - 1), pitch(across | 1), rows(kTileHeight + y.size - 1), kx(x.size), ky(y.size) {}
   int numbers() const { return rows * kPitch + 32 * pitch + across + kx + ky; }
 };
+
+// Those of small Gaussians have the bits that strips give them.
+__device__ __forceinline__ void load_tile_weights(Taps<float> const& taps, int64_t sample, float scale,
+                                                  float* weights) {
+  if (!taps.gaussian || taps.size > 32) return load_weights(taps, sample, scale, weights);
+  if (threadIdx.x < 32) {
+    float const weight = weight_of_lane(taps, sample, int(threadIdx.x));
+    if (int(threadIdx.x) < taps.size) weights[threadIdx.x] = scale * weight;
+  }
+  __syncthreads();
+}
 
 // reflect_backward: the transpose of a reflected border, as in separable_strip.cuh: border pixels count doubled.
 template <class T>
@@ -198,8 +212,8 @@ __device__ __forceinline__ void filter_tiles(Separable<T> const& p, unsigned blo
   for (int i = threadIdx.x; i < memory.across; i += kTileThreads)
     columns[i] =
         i < min(kTileWidth, width - x0) + memory.kx - 1 ? border_index(p.border, x0 - p.kx.before + i, in_width) : -1;
-  load_weights(p.kx, int64_t(plane) / p.planes, 1.f, kx);
-  load_weights(p.ky, int64_t(plane) / p.planes, p.alpha, ky);
+  load_tile_weights(p.kx, int64_t(plane) / p.planes, 1.f, kx);
+  load_tile_weights(p.ky, int64_t(plane) / p.planes, p.alpha, ky);
   auto const is_end = [](int i, int n) { return i == 0 || i == n - 1; };
 
   for (int y = y0; y < y1; y += kTileHeight) {
@@ -281,12 +295,11 @@ __global__ void __launch_bounds__(kTileThreads, 2)
 }
 template <class T>
 __global__ void __launch_bounds__(kTileThreads, 2)
-    separable_tiles_of_list(__grid_constant__ SeparableList<T> const list, TileMemory memory, int rows,
-                            bool reflect_backward) {
+    separable_tiles_of_list(__grid_constant__ SeparableList<T> const list, int rows, bool reflect_backward) {
   unsigned block;
   Separable<T> const* const p = sample_of_block(list, block);
   if (!p) return;
-  filter_tiles(*p, block, memory, rows, reflect_backward, false);
+  filter_tiles(*p, block, TileMemory(p->kx, p->ky), rows, reflect_backward, false);
 }
 
 int resident_blocks_of_tiles(int bytes) {
@@ -295,8 +308,7 @@ int resident_blocks_of_tiles(int bytes) {
 
 template <class T>
 int launch_tiles(SeparableList<T> p, bool reflect_backward, CUstream_st* stream) {
-  TileMemory const memory(p.all.kx, p.all.ky);
-  int const bytes = 4 * memory.numbers(), resident = resident_blocks_of_tiles(bytes);
+  int const bytes = 4 * TileMemory(p.all.kx, p.all.ky).numbers(), resident = resident_blocks_of_tiles(bytes);
   if (int error = cudaFuncSetAttribute(separable_tiles_of_list<T>, cudaFuncAttributeMaxDynamicSharedMemorySize, bytes))
     return error;
   if (reflect_backward) p.all.border = Border::reflect;
@@ -306,7 +318,7 @@ int launch_tiles(SeparableList<T> p, bool reflect_backward, CUstream_st* stream)
   return launch_list(
       p, [&](Separable<T> const& one) { return columns_of(one) * ceil_div(one.y.height, rows); },
       [&](SeparableList<T> const& list, unsigned blocks) {
-        separable_tiles_of_list<T><<<blocks, kTileThreads, bytes, stream>>>(list, memory, rows, reflect_backward);
+        separable_tiles_of_list<T><<<blocks, kTileThreads, bytes, stream>>>(list, rows, reflect_backward);
       });
 }
 
@@ -417,7 +429,8 @@ int separable_list(SeparableList<T> const& p, CUstream_st* stream) {
     bool const reflect_backward =
         all.accumulation == Border::reflect && all.kx.gaussian && all.ky.gaussian && sizeof(T) > 1;
     if (all.accumulation == Border::constant || reflect_backward) {
-      if (all_samples(p, [](Separable<T> const& one) { return supports_strips(one.x, one.ky.size, one.kx.size); })) {
+      auto const fits_strips = [](Separable<T> const& one) { return supports_strips(one.x, one.ky.size, one.kx.size); };
+      if (all.sigma_of_side == 0 && all_samples(p, fits_strips)) {
         if constexpr (sizeof(T) > 1)
           if (reflect_backward) return separable_reflect_backward_strips(p, 1, stream);
         return separable_strips(p, 1, stream);

@@ -38,6 +38,12 @@ struct Taps {
   KV_HD void select(int64_t sample) {
     if (data) data += sample * stride;
   }
+  // The weights of a Gaussian of a sigma, in a window of three of it to each side.
+  KV_HD void set_gaussian(double of) {
+    sigma = F(of);
+    size = 2 * int(3 * of + 0.5) + 1;
+    before = size / 2;
+  }
   // How many pixels before and after the image the pass reads whose transpose this is.
   KV_HD int front() const { return size - 1 - before; }
   KV_HD int back() const { return before; }
@@ -82,8 +88,16 @@ struct Separable {
   Compute<T> alpha, beta;
   Border border;        // of x
   Border accumulation;  // of the border, into the result, by transposes: replicate, reflect, or constant for none
+  // Not 0: in a list, Gaussians whose sigmas are so many widths and heights of an image. Those of `kx` and `ky` are the
+  // largest.
+  double sigma_of_side = 0;
 
   KV_HD void select(int64_t sample) { kx.select(sample), ky.select(sample); }
+  KV_HD void fit_windows() {
+    if (sigma_of_side == 0) return;
+    kx.set_gaussian(sigma_of_side * double(y.width));
+    ky.set_gaussian(sigma_of_side * double(y.height));
+  }
 };
 
 template <class T>

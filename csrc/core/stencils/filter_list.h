@@ -7,7 +7,8 @@
 namespace kv {
 
 // `all` is what the samples have in common, with the parameters of all of them: a struct with images x and y, and with
-// select(b), which leaves the parameters of sample b. Samples that are not chosen are copied.
+// select(b), which leaves the parameters of sample b. One with fit_windows() has windows that follow from the images.
+// Samples that are not chosen are copied.
 template <class Filter, class T>
 struct FilterList {
   Filter all;
@@ -22,6 +23,7 @@ struct FilterList {
     one.select(b);
     one.x = planes_of(images_of<T>(list.images[b], channels), list.interleaved);
     one.y = planes_of(images_of<T>(list.results[b], channels, list.interleaved), list.interleaved);
+    if constexpr (requires { one.fit_windows(); }) one.fit_windows();
     return one;
   }
 };

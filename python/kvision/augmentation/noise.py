@@ -25,6 +25,7 @@ from kvision._limits import NOISE_UNIT as UNIT
 from kvision._ops import Operator, match_layout, register, saturate_to_byte
 from kvision.augmentation.draws import MAX_DRAWS, philox, unit
 from kvision.augmentation.keys import Keys, flatten_draws
+from kvision.augmentation.lists.sides import rows_on_device
 from kvision.geometry.transform.lists.arguments import row
 from kvision.geometry.transform.lists.kept_sizes import Operation, register_list
 
@@ -388,19 +389,33 @@ class PixelNoise(NamedTuple):
         """Standard normal noise of the samples of a list, of a shape (C, H, W) each, float32."""
         return self._of_list(gaussian_noise, shapes, map, 0)
 
-    def _of_list(self, operator: Operator, shapes: Sequence[Sequence[int]], map: int, form: int) -> list[Tensor]:
+    def symmetric_list(self, shapes: Sequence[Sequence[int]], scales: Sequence[float], map: int = 0) -> list[Tensor]:
+        """Uniform noise between the scale of each sample of a list and minus that, of a shape (C, H, W) each, float32."""
+        return self._of_list(uniform_noise, shapes, map, 0, scales)
+
+    def _of_list(
+        self,
+        operator: Operator,
+        shapes: Sequence[Sequence[int]],
+        map: int,
+        form: int,
+        scales: Sequence[float] | None = None,
+    ) -> list[Tensor]:
         counts = [math.prod(shape) for shape in shapes]
         zero = torch.zeros(sum(counts), dtype=torch.float32, device=self.device)
         zeros = [part.view(*shape) for part, shape in zip(zero.split(counts), shapes)]
-        return Operation(operator, (constant(((0.0, 1.0),), zero), *self.arguments(map, form))).on_list(zeros)
+        parameters = constant(((0.0, 1.0),), zero)
+        if scales is not None:
+            parameters = rows_on_device(tuple((0.0, scale) for scale in scales), zero, torch.float32)
+        return Operation(operator, (parameters, *self.arguments(map, form))).on_list(zeros)
 
-    def symmetric(self, shape: Sequence[int], map: int = 0) -> Tensor:
-        """Uniform noise (B, C, H, W) in [-1, 1], float32."""
-        return self._between(shape, torch.float32, map, 0)
+    def symmetric(self, shape: Sequence[int], map: int = 0, scale: float = 1.0) -> Tensor:
+        """Uniform noise (B, C, H, W) between a scale and minus that, float32."""
+        return self._between(shape, torch.float32, map, 0, scale)
 
-    def _between(self, shape: Sequence[int], dtype: torch.dtype, map: int, form: int) -> Tensor:
+    def _between(self, shape: Sequence[int], dtype: torch.dtype, map: int, form: int, scale: float = 1.0) -> Tensor:
         zero = torch.zeros(tuple(shape), dtype=dtype, device=self.device)
-        noise: Tensor = uniform_noise(zero, constant(((0.0, 1.0),), zero), *self.arguments(map, form))
+        noise: Tensor = uniform_noise(zero, constant(((0.0, scale),), zero), *self.arguments(map, form))
         return noise
 
     def normal(self, shape: Sequence[int], map: int = 0) -> Tensor:

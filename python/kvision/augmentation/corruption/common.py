@@ -14,11 +14,12 @@ from kvision import _check
 from kvision._clamp import clamp
 from kvision._constants import constant
 from kvision._dtype import compute_dtype
-from kvision._modes import BLOCK_VALUE
+from kvision._modes import BLOCK_VALUE, BORDER
 from kvision.augmentation import maps
 from kvision.augmentation.corruption.blurs import mean_of_enlargements
 from kvision.augmentation.corruption.disk import disk_kernels
 from kvision.augmentation.corruption.glass import Moves, glass, reach_of
+from kvision.augmentation.corruption.layer import layered
 from kvision.augmentation.corruption.moved import sum_of_moved
 from kvision.augmentation.corruption.noises import as_stored, drawing, in_units, photons
 from kvision.augmentation.corruption.pixelate import pixelate
@@ -46,8 +47,9 @@ from kvision.core.exceptions import ValueCheckError
 from kvision.enhance.batch import colors
 from kvision.filters.filter2d import filter_arguments
 from kvision.filters.smoothing.gaussian import blur_arguments, gaussian_blur2d
-from kvision.geometry.transform.lists.arguments import sizes
+from kvision.geometry.transform.lists.arguments import largest_shape, sizes
 from kvision.geometry.transform.lists.kept_sizes import Operation, Operations
+from kvision.geometry.transform.lists.remap_list import packed
 
 Images: TypeAlias = Sequence[Tensor] | None
 
@@ -225,14 +227,51 @@ def _contrast(like: Tensor, drawn: Params, images: Images, factor: float) -> Ope
     return Operation(statistics_lists.channel_contrast, (factor,))
 
 
-def _elastic_transform(x: Tensor, drawn: Params, alpha: float) -> Tensor:
-    height, width = x.shape[-2:]
-    sigma = height * 0.01, width * 0.01
+class Shifts(NamedTuple):
+    """A map like :class:`NoiseMap` of numbers for x and y, between so many heights of the image and minus that."""
+
+    most: float
+
+    def draw(self, noise: PixelNoise, shape: Sequence[int], number: int) -> Tensor:
+        """The map with a number of its own among those of an augmentation, float32."""
+        return noise.symmetric((shape[0], 2, *shape[2:]), number, self.most * shape[2])
+
+    def draw_list(self, noise: PixelNoise, shapes: Sequence[Sequence[int]], number: int) -> list[Tensor]:
+        """The maps of the images of a list, of a shape (C, H, W) each."""
+        scales = [self.most * shape[1] for shape in shapes]
+        return noise.symmetric_list([(2, *shape[1:]) for shape in shapes], scales, number)
+
+
+_SHIFT, _SIGMA = 0.005, 0.01  # of the side of an image
+_MIRRORED = Resampling("bilinear", "reflection", False)
+
+
+class Displaced(NamedTuple):
+    """What reads images by a map, or those of a list by maps as :func:`maps.read_displaced_list` takes them, as an operation."""
+
+    displacements: Tensor
+
+    def __call__(self, images: Tensor) -> Tensor:
+        y = maps.read_displaced(images, self.displacements, _MIRRORED)
+        return y if images.dtype == torch.uint8 else clamp(y, 0, 1)
+
+    def on_list(self, images: Sequence[Tensor], chosen: Tensor | None = None) -> list[Tensor]:
+        """The results of images (C, H, W) of different sizes; the maps of those that are not `chosen` are 0."""
+        y = maps.read_displaced_list(images, self.displacements, _MIRRORED)
+        if y[0].dtype == torch.uint8:
+            return y
+        nothing = y[0].new_zeros((), dtype=compute_dtype(y[0])).expand(1, 1, *largest_shape(images)[2:])
+        return layered(nothing, 1.0, 0.0, 0.0, 0.0).on_list(y, chosen)
+
+
+def _elastic_transform(like: Tensor, drawn: Params, images: Images, alpha: float) -> Displaced:
+    noise = drawn["noise"]
+    if images is not None:
+        blurred = filter_lists.gaussian_blur2d_of_sides(noise, _SIGMA, BORDER["reflect"])
+        return Displaced(packed([x.detach() for x in blurred]))
+    sigma = like.shape[-2] * _SIGMA, like.shape[-1] * _SIGMA
     sides = 2 * int(3 * sigma[0] + 0.5) + 1, 2 * int(3 * sigma[1] + 0.5) + 1
-    noise = (drawn["noise"] - 0.5) * (2 * (height * 0.005))
-    moved = alpha * gaussian_blur2d(noise, sides, sigma)
-    y = maps.read_displaced(x, moved, Resampling("bilinear", "reflection", False))
-    return y if x.dtype == torch.uint8 else clamp(y, 0, 1)
+    return Displaced(gaussian_blur2d(noise, sides, sigma))
 
 
 def _pixelate(like: Tensor, drawn: Params, images: Images, scale: float) -> Operation:
@@ -376,8 +415,8 @@ CORRUPTIONS: dict[CorruptionName, Corruption] = {
     "elastic_transform": Corruption(
         _elastic_transform,
         _each(12.5, 16.25, 21.25, 25.0, 30.0),
-        NoiseMap(size=(2, None, None)),
         takes_bytes=True,
+        is_operation=True,
     ),
     "pixelate": Corruption(_pixelate, _each(0.6, 0.5, 0.4, 0.3, 0.25), takes_bytes=True, is_operation=True),
     "jpeg_compression": Corruption(_jpeg_compression, _each(25, 18, 15, 10, 7), is_operation=True),
@@ -467,6 +506,8 @@ class CommonCorruption(IntensityAugmentationBase2D, keeps_contract=True):
             map = Moves(int(numbers[2]))
         if self.name == "impulse_noise":
             map = Impulses(*numbers)
+        if self.name == "elastic_transform":
+            map = Shifts(numbers[0] * _SHIFT)
         if self.name == "speckle_noise":
             map = Factors(*numbers)
         samplers = WINDOW if self.name == "frost" else [] if angle is None else [(angle, "angle", None, None)]
@@ -505,9 +546,9 @@ class CommonCorruption(IntensityAugmentationBase2D, keeps_contract=True):
                 drawn[name] = params[name].to(like.device, compute_dtype(like))
         return drawn
 
-    def _operation(self, like: Tensor, params: Params, images: Images = None) -> Operation | Operations:
+    def _operation(self, like: Tensor, params: Params, images: Images = None) -> Any:
         corruption, numbers = self._corruption
-        operation: Operation | Operations
+        operation: Operation | Operations | Displaced
         if corruption.fused is not None:
             operation = corruption.fused(like, params["_noise"][1], *numbers)
         else:
@@ -515,9 +556,7 @@ class CommonCorruption(IntensityAugmentationBase2D, keeps_contract=True):
             operation = corruption.apply(like, self._drawn(params, like), images, *numbers)
         return operation
 
-    def _operation_on_list(
-        self, images: Sequence[Tensor], like: Tensor, execution: Execution
-    ) -> Operation | Operations:
+    def _operation_on_list(self, images: Sequence[Tensor], like: Tensor, execution: Execution) -> Any:
         generator = self._param_generator
         assert generator is not None
         if self.fuses_noise or not generator.per_pixel:
@@ -525,7 +564,9 @@ class CommonCorruption(IntensityAugmentationBase2D, keeps_contract=True):
         else:
             assert execution.columns is not None
             values, noise = execution.columns.values, self._pixel_noise(execution, execution.redraw, like.device)
-            if isinstance(generator, MappedGenerator):  # maps of each image
+            if isinstance(generator, MappedGenerator):  # maps of each image, 0 of those that are not chosen
+                chosen = None if execution.is_certain else execution.columns.chosen
+                noise = noise._replace(chosen=None if chosen is None else chosen.float())
                 map: Any = generator.maps["noise"]
                 drawn = map.draw_list(noise, [tuple(x.shape) for x in images], 0)
                 params = {**self._named(values, execution), "noise": drawn}

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from torch import Tensor
 
+from kvision._list_ops import ListOperator
 from kvision._ops import Operator
 from kvision.enhance.sharpness import _sharpness as sharpness
 from kvision.filters.filter2d import _filter2d as filter2d
 from kvision.filters.filter2d import _filter2d_backward, _kernel_backward, clamped_gradients, filter2d_clamped
 from kvision.filters.smoothing import box, gaussian, median
-from kvision.geometry.transform.lists.arguments import row
+from kvision.geometry.transform.lists.arguments import fake_results, row, sizes
 from kvision.geometry.transform.lists.kept_sizes import register_filter
 
 box_blur, gaussian_blur2d, median_blur = box._box_blur, gaussian._gaussian_blur2d, median._median_blur
@@ -66,4 +67,33 @@ register_filter(
     sharpness,
     lambda b, factor, number: (row(factor, b), number),
     lambda needs, grad, x, *args: sharpness.backward((*needs, False), grad, x, *args)[:2],
+)
+
+
+# Blurs whose windows grow with the image: sigma in heights and widths of each, and the border.
+
+
+def _windows(x: Tensor, sigma: float) -> tuple[int, int, float, float]:
+    """Height and width of the window of an image (C, H, W), and the standard deviations."""
+    sigma_y, sigma_x = (sigma * n for n in x.shape[-2:])
+    return 2 * int(3 * sigma_y + 0.5) + 1, 2 * int(3 * sigma_x + 0.5) + 1, sigma_y, sigma_x
+
+
+def _of_sides(images: Sequence[Tensor], sigma: float, border: int) -> list[Tensor]:
+    return [gaussian_blur2d.reference(x[None], None, *_windows(x, sigma), border)[0] for x in images]
+
+
+def _of_sides_backward(
+    needs: Sequence[bool], grads: Sequence[Tensor], images: Sequence[Tensor], sigma: float, border: int
+) -> list[Any]:
+    each = zip(grads, images)
+    return [[gaussian._transposed(g[None], None, *_windows(x, sigma), border)[0] for g, x in each]]
+
+
+gaussian_blur2d_of_sides = ListOperator(
+    "gaussian_blur2d_of_sides_list",
+    gaussian_blur2d,
+    _of_sides,
+    fake=lambda images, *args: fake_results(images, sizes(images)),
+    backward=_of_sides_backward,
 )

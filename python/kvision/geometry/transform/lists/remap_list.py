@@ -11,6 +11,7 @@ from typing import Any
 import torch
 import torch.nn.functional as F
 from torch import Tensor
+from torch.compiler import is_compiling
 
 from kvision._list_ops import ListOperator
 from kvision.geometry.transform import sampling
@@ -23,7 +24,17 @@ _UNIT = 16
 
 
 def packed(maps: Sequence[Tensor]) -> Tensor:
-    """Maps (2, H, W) as one tensor."""
+    """Maps (2, H, W) as one tensor: the block of memory that they lie in, as operators on lists give them, or a copy."""
+    first, begin = maps[0], 0
+    if not is_compiling() and type(first) is Tensor and not any(own.requires_grad for own in maps):
+        for own in maps:
+            if own.data_ptr() != first.data_ptr() + begin * first.element_size() or not own.is_contiguous():
+                break
+            begin += own.numel() + -own.numel() % _UNIT
+        else:
+            offset = first.storage_offset()
+            if first.untyped_storage().nbytes() >= (offset + begin) * first.element_size():
+                return first.as_strided((begin,), (1,), offset)
     return torch.cat([F.pad(own.flatten(), (0, -own.numel() % _UNIT)) for own in maps])
 
 

@@ -74,10 +74,14 @@ NOISES = {
         A.RandomRotation(20.0),
         A.RandomElasticTransform((5, 5), (2.0, 2.0), align_corners=True, p=0.7),
     ),
+    "rain": lambda: (A.Spatter(gauss_sigma_range=(1.0, 2.0), p=0.7), A.CommonCorruption("spatter", 2, p=0.7)),
+    "mud": lambda: (A.Spatter((0.6, 0.7), mode="mud", p=0.7), A.CommonCorruption("spatter", 5, p=0.7)),
+    "waves": lambda: (A.CommonCorruption("elastic_transform", 3, p=0.7), A.RandomHorizontalFlip()),
     "late": lambda: (A.RandomErasing(), A.RandomResizedCrop((12, 14)), A.RandomErasing(), A.SpeckleNoise(p=1.0)),
 }
 BLURS = ("gaussian", "box", "median", "disks", "sharpness", "zoom")
-MAPS = ("lenses", "splines", "grids", "elastic")
+MAPS = ("lenses", "splines", "grids", "elastic", "waves")
+OTHERS = ("antialiased", "rain", "mud")
 PASSES_AND_NOISES = {**PASSES, **NOISES}
 
 
@@ -187,7 +191,9 @@ def test_results_in_another_type(device):
     assert not is_by_passes(A.ImageSequential(augment))
 
 
-@pytest.mark.parametrize("name", ["flips", "affine", "everything", "erasing", "factors", "antialiased", *BLURS, *MAPS])
+@pytest.mark.parametrize(
+    "name", ["flips", "affine", "everything", "erasing", "factors", "antialiased", "rain", "mud", *BLURS, *MAPS]
+)
 def test_as_many_launches_as_a_batch(name):
     """With contrast two more where the planes of some images begin between vectors: no cluster of blocks keeps these."""
     if not torch.cuda.is_available():

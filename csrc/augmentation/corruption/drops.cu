@@ -1,5 +1,5 @@
-// Drops on CUDA: a block has a tile of a layer. For depths it marks outlines as bits of words, finds the nearest one of
-// each row by them, and then the nearest row of each column.
+// Drops on CUDA: a block has a tile of a layer, of a list of the layer that the table says. For depths it marks
+// outlines as bits of words, finds the nearest one of each row by them, and then the nearest row of each column.
 #include "augmentation/corruption/drops.h"
 #include "core/launch.cuh"
 
@@ -15,16 +15,20 @@ struct DropTile {
 
   __device__ __forceinline__ DropTile()
       : b(blockIdx.z), left(int(blockIdx.x) * kDropColumns), top(int(blockIdx.y) * kDropRows) {}
+  // That of a number, of the only sample.
+  __device__ __forceinline__ DropTile(int number, int width) : b(0) {
+    int const across = (width + kDropColumns - 1) / kDropColumns;
+    left = number % across * kDropColumns, top = number / across * kDropRows;
+  }
 };
 
 template <class T>
-__global__ void __launch_bounds__(kDropThreads) find_depths(__grid_constant__ DropDepths<T> const p) {
+__device__ __forceinline__ void compute_tile(DropDepths<T> const& p, DropTile const& tile) {
   constexpr int kFar = kFarFromOutline, kRows = kDropRows + 2 * kFar, kWords = 4;  // a word to the left of the tile
   constexpr int kWide = kDropColumns + 2, kTall = kDropRows + 2;                   // of what the mean reads
   __shared__ uint32_t inside[kRows + 2][kWords], outlines[kRows][kWords + 1];
   __shared__ uint16_t squares[kRows][kWide];
   __shared__ float distances[kTall][kWide];
-  DropTile const tile;
   int const height = int(p.drops.height), width = int(p.drops.width), lane = threadIdx.x % 32;
   for (int i = threadIdx.x / 32; i < (kRows + 2) * kWords; i += kDropThreads / 32) {
     int const row = tile.top - kFar - 1 + i / kWords, column = tile.left - 32 + i % kWords * 32 + lane;
@@ -79,10 +83,9 @@ __global__ void __launch_bounds__(kDropThreads) find_depths(__grid_constant__ Dr
 }
 
 template <class T>
-__global__ void __launch_bounds__(kDropThreads) light_depths(__grid_constant__ DropReliefs<T> const p) {
+__device__ __forceinline__ void compute_tile(DropReliefs<T> const& p, DropTile const& tile) {
   constexpr int kWide = kDropColumns + 2, kTall = kDropRows + 2;
   __shared__ uint8_t lights[kTall][kWide];
-  DropTile const tile;
   int const height = int(p.drops.height), width = int(p.drops.width);
   uint8_t const* const depths = p.depths + tile.b * height * width;
   for (int i = threadIdx.x; i < kTall * kWide; i += kDropThreads) {
@@ -106,26 +109,80 @@ __global__ void __launch_bounds__(kDropThreads) light_depths(__grid_constant__ D
 }
 
 template <class T>
-dim3 tiles_of(Drops<T> const& drops) {
-  return {unsigned(ceil_div(drops.width, kDropColumns)), unsigned(ceil_div(drops.height, kDropRows)),
-          unsigned(drops.batch)};
+__device__ __forceinline__ void compute_tile(MarkStains<T> const& p, DropTile const& tile) {
+  int const height = int(p.drops.height), width = int(p.drops.width);
+  T const threshold = p.drops.threshold(tile.b);
+  for (int i = threadIdx.x; i < kDropRows * kDropColumns; i += kDropThreads) {
+    int const row = tile.top + i / kDropColumns, column = tile.left + i % kDropColumns;
+    if (row >= height || column >= width) continue;
+    int64_t const at = int64_t(row) * width + column;
+    p.y[tile.b * height * width + at] = T(p.drops.value(tile.b, at) > threshold);
+  }
+}
+
+template <class Kernel>
+__global__ void __launch_bounds__(kDropThreads) compute_tiles(__grid_constant__ Kernel const p) {
+  compute_tile(p, DropTile());
+}
+template <class List>
+__global__ void __launch_bounds__(kDropThreads) compute_tiles_of_list(__grid_constant__ List const p) {
+  int const b = p.sample_of(int(blockIdx.x));
+  compute_tile(p.sample(b), DropTile(int(blockIdx.x) - p.listed[b].first, p.listed[b].width));
+}
+
+template <class Kernel>
+int launch_tiles(Kernel const& p, CUstream_st* stream) {
+  auto const& drops = p.drops;
+  dim3 const tiles(unsigned(ceil_div(drops.width, kDropColumns)), unsigned(ceil_div(drops.height, kDropRows)),
+                   unsigned(drops.batch));
+  compute_tiles<<<tiles, kDropThreads, 0, stream>>>(p);
+  return cudaGetLastError();
+}
+template <class List>
+int launch_tiles_of_list(List p, CUstream_st* stream) {
+  int64_t tiles = 0;
+  for (int b = 0; b < p.count; ++b) {
+    ListedDrops& own = p.listed[b];
+    own.first = int(tiles);
+    tiles += int64_t(ceil_div(own.width, kDropColumns)) * ceil_div(own.height, kDropRows);
+    if (tiles > INT32_MAX) return cudaErrorInvalidConfiguration;
+  }
+  compute_tiles_of_list<<<unsigned(tiles), kDropThreads, 0, stream>>>(p);
+  return cudaGetLastError();
 }
 
 }  // namespace
 
 template <class T>
 int drop_depths(DropDepths<T> const& p, CUstream_st* stream) {
-  find_depths<T><<<tiles_of(p.drops), kDropThreads, 0, stream>>>(p);
-  return cudaGetLastError();
+  return launch_tiles(p, stream);
 }
-
 template <class T>
 int drop_reliefs(DropReliefs<T> const& p, CUstream_st* stream) {
-  light_depths<T><<<tiles_of(p.drops), kDropThreads, 0, stream>>>(p);
-  return cudaGetLastError();
+  return launch_tiles(p, stream);
+}
+template <class T>
+int mark_stains(MarkStains<T> const& p, CUstream_st* stream) {
+  return launch_tiles(p, stream);
+}
+template <class T>
+int drop_depths_list(DropDepthsList<T> const& p, CUstream_st* stream) {
+  return launch_tiles_of_list(p, stream);
+}
+template <class T>
+int drop_reliefs_list(DropReliefsList<T> const& p, CUstream_st* stream) {
+  return launch_tiles_of_list(p, stream);
+}
+template <class T>
+int mark_stains_list(MarkStainsList<T> const& p, CUstream_st* stream) {
+  return launch_tiles_of_list(p, stream);
 }
 
 KV_INSTANTIATE_COMPUTED(drop_depths, DropDepths)
 KV_INSTANTIATE_COMPUTED(drop_reliefs, DropReliefs)
+KV_INSTANTIATE_COMPUTED(mark_stains, MarkStains)
+KV_INSTANTIATE_COMPUTED(drop_depths_list, DropDepthsList)
+KV_INSTANTIATE_COMPUTED(drop_reliefs_list, DropReliefsList)
+KV_INSTANTIATE_COMPUTED(mark_stains_list, MarkStainsList)
 
 }  // namespace kv::augmentation::cuda

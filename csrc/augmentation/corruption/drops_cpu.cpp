@@ -8,7 +8,7 @@ namespace kv::augmentation::KV_ISA {
 
 namespace {
 
-constexpr int kBand = 32;
+constexpr int kBand = kDropBand;
 
 // Calls f(sample, first row, end) for bands.
 template <class T, class Call>
@@ -93,7 +93,53 @@ void drop_reliefs(DropReliefs<T> const& p, int64_t begin, int64_t end) {
   });
 }
 
+template <class T>
+void mark_stains(MarkStains<T> const& p, int64_t begin, int64_t end) {
+  for_each_band(p.drops, begin, end, [&](int64_t b, int top, int bottom) KV_INLINE {
+    T const threshold = p.drops.threshold(b);
+    T* const y = p.y + b * p.drops.height * p.drops.width;
+    for (int64_t at = top * p.drops.width; at < bottom * p.drops.width; ++at)
+      y[at] = T(p.drops.value(b, at) > threshold);
+  });
+}
+
+namespace {
+
+// Calls run(layer, first band, end) for the items [begin, end) of a list.
+template <class List, class Run>
+KV_HD void for_each_layer(List const& p, int64_t begin, int64_t end, Run const& run) {
+  for (int b = p.sample_of(int(begin)); begin < end; ++b) {
+    int64_t const first = p.listed[b].first, next = b + 1 < p.count ? p.listed[b + 1].first : p.items;
+    int64_t const last = min(end, next);
+    run(p.sample(b), begin - first, last - first);
+    begin = last;
+  }
+}
+
+}  // namespace
+
+template <class T>
+void drop_depths_list(DropDepthsList<T> const& p, int64_t begin, int64_t end) {
+  for_each_layer(p, begin, end,
+                 [](DropDepths<T> const& one, int64_t first, int64_t last) { KV_ISA::drop_depths(one, first, last); });
+}
+template <class T>
+void drop_reliefs_list(DropReliefsList<T> const& p, int64_t begin, int64_t end) {
+  for_each_layer(p, begin, end, [](DropReliefs<T> const& one, int64_t first, int64_t last) {
+    KV_ISA::drop_reliefs(one, first, last);
+  });
+}
+template <class T>
+void mark_stains_list(MarkStainsList<T> const& p, int64_t begin, int64_t end) {
+  for_each_layer(p, begin, end,
+                 [](MarkStains<T> const& one, int64_t first, int64_t last) { KV_ISA::mark_stains(one, first, last); });
+}
+
 KV_INSTANTIATE_COMPUTED(drop_depths, DropDepths)
 KV_INSTANTIATE_COMPUTED(drop_reliefs, DropReliefs)
+KV_INSTANTIATE_COMPUTED(mark_stains, MarkStains)
+KV_INSTANTIATE_COMPUTED(drop_depths_list, DropDepthsList)
+KV_INSTANTIATE_COMPUTED(drop_reliefs_list, DropReliefsList)
+KV_INSTANTIATE_COMPUTED(mark_stains_list, MarkStainsList)
 
 }  // namespace kv::augmentation::KV_ISA

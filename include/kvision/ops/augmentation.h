@@ -36,9 +36,10 @@ inline constexpr Operator<"disk_kernels", Tensor(Tensor deviations, Tensor radii
 
 // --- augmentation/corruption/drops_op.cpp
 
-inline constexpr Operator<"drop_depths", Tensor(Tensor layers, Tensor thresholds)> drop_depths{non_differentiable};
-inline constexpr Operator<"drop_reliefs", Tensor(Tensor layers, Tensor thresholds, Tensor depths)> drop_reliefs{
+inline constexpr Operator<"drop_depths", Tensor(Tensor layers, Tensor parameters)> drop_depths{non_differentiable};
+inline constexpr Operator<"drop_reliefs", Tensor(Tensor layers, Tensor parameters, Tensor depths)> drop_reliefs{
     non_differentiable};
+inline constexpr Operator<"mark_stains", Tensor(Tensor layers, Tensor parameters)> mark_stains{non_differentiable};
 
 // --- augmentation/corruption/glass_op.cpp
 

@@ -15,13 +15,14 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from kvision._constants import constant
 from kvision._dtype import as_dtype, compute_dtype
 from kvision._modes import INTERPOLATION, PADDING
 from kvision.augmentation.warp_and_color import Resampling, fill_of_images
 from kvision.geometry.transform import sampling
 from kvision.geometry.transform.antialiased.warp_antialiased import remap_antialiased, warp_antialiased
 from kvision.geometry.transform.composed.composed_warp import composed_coords, composed_warp, link_arguments
-from kvision.geometry.transform.lists.arguments import like_batch
+from kvision.geometry.transform.lists.arguments import largest_shape, like_batch
 from kvision.geometry.transform.lists.remap_list import remap_list
 from kvision.geometry.transform.lists.resize_windows_list import resize_windows_list
 from kvision.geometry.transform.lists.warp_antialiased_list import warp_antialiased_list
@@ -29,6 +30,7 @@ from kvision.geometry.transform.lists.warp_list import warp_list
 from kvision.geometry.transform.resize_windows import resized_windows
 
 _STEPS, _GUESSES = 20, 32  # of Newton's method, which begins at the best of 32 x 32 pixels
+_IDENTITY = (((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),)
 _BETWEEN = INTERPOLATION["bilinear"], PADDING["border"], True  # how displacements are read
 
 # --- reading images -------------------------------------------------------------------------------------------------
@@ -49,6 +51,14 @@ def read_displaced_list(
     )
     options = (INTERPOLATION[resampling.mode], padding, resampling.align_corners, by_channel)
     return list(remap_list(list(images), displacements, fill, *options))
+
+
+def as_batch(layers: Sequence[Tensor]) -> Tensor:
+    """Layers (C, H, W) of different sizes as one tensor (B, C, H, W) of the largest sides, 0 beyond each."""
+    identity = constant(_IDENTITY, layers[0], compute_dtype(layers[0]))
+    height, width = largest_shape(layers)[2:]
+    options = (INTERPOLATION["nearest"], PADDING["fill"], True, False, False)
+    return warp_list(list(layers), identity, None, [height, width], *options)[0]
 
 
 def read(x: Tensor, coordinates: Tensor, resampling: Resampling, antialias: bool = False) -> Tensor:

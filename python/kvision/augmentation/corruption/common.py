@@ -24,7 +24,7 @@ from kvision.augmentation.corruption.moved import sum_of_moved
 from kvision.augmentation.corruption.noises import as_stored, drawing, in_units, photons
 from kvision.augmentation.corruption.pixelate import pixelate
 from kvision.augmentation.corruption.snow import add_snow
-from kvision.augmentation.corruption.weather import WINDOW, as_textures, fogged, frosted, spattered
+from kvision.augmentation.corruption.weather import WINDOW, SpatterMode, as_textures, fogged, frosted, spattered
 from kvision.augmentation.engine import Execution, Params, Shape
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
 from kvision.augmentation.lists import filter_lists, statistics_lists
@@ -310,19 +310,18 @@ def _jpeg_compression(like: Tensor, drawn: Params, images: Images, quality: floa
 
 
 def _spatter(
-    x: Tensor,
+    like: Tensor,
     drawn: Params,
+    images: Images,
     mean: float,
     deviation: float,
     smooth: float,
     threshold: float,
     intensity: float,
     is_mud: float,
-) -> Tensor:
-    noise = drawn["noise"].to(compute_dtype(x))
-    return spattered(
-        x, torch.add(mean, noise, alpha=deviation), smooth, threshold, intensity, "mud" if is_mud else "rain"
-    )
+) -> Operation:
+    mode: SpatterMode = "mud" if is_mud else "rain"
+    return spattered(like, drawn["noise"], mean, deviation, smooth, threshold, intensity, mode)
 
 
 class Corruption(NamedTuple):
@@ -435,6 +434,7 @@ CORRUPTIONS: dict[CorruptionName, Corruption] = {
         ),
         NoiseMap(True, _PLANE),
         takes_bytes=True,
+        is_operation=True,
     ),
     "saturate": Corruption(None, ((0.3, 0), (0.1, 0), (2, 0), (5, 0.1), (20, 0.2)), steps=_saturate),
 }

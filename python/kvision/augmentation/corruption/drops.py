@@ -1,6 +1,10 @@
-"""Drops of rain on a lens, where a layer of smooth noise is above a threshold: their depth, and their relief lit from a corner."""
+"""Drops of rain and stains on a lens, where a layer of smooth noise is above a threshold: the depth of drops, and their relief lit
+from a corner.
+"""
 
 from __future__ import annotations
+
+from typing import Any
 
 import torch
 import torch.nn.functional as F
@@ -8,11 +12,23 @@ from torch import Tensor
 
 from kvision._limits import FAR_FROM_OUTLINE
 from kvision._ops import register
+from kvision.geometry.transform.lists.arguments import row
+from kvision.geometry.transform.lists.kept_sizes import register_list
+
+# Arguments of the operators: layers (B, 1, H, W), float32 or float64; parameters (B or 1, 3) of their type: mean and deviation, for
+# a layer is its mean and its deviation times the numbers that are given, and the threshold.
 
 
-def _levels(layers: Tensor, thresholds: Tensor) -> Tensor:
+def _values(layers: Tensor, parameters: Tensor) -> tuple[Tensor, Tensor]:
+    """What layers are, and the threshold."""
+    mean, deviation, threshold = parameters[:, :, None, None, None].unbind(1)
+    return mean + deviation * layers, threshold
+
+
+def _levels(layers: Tensor, parameters: Tensor) -> Tensor:
     """Levels of drops, whole numbers up to 255, and 0 elsewhere."""
-    return torch.where(layers < thresholds[:, None, None, None], 0, layers).clamp(0, 1).mul(255).floor()
+    values, threshold = _values(layers, parameters)
+    return torch.where(values < threshold, 0, values).clamp(0, 1).mul(255).floor()
 
 
 def _sum_of_nine(x: Tensor) -> Tensor:
@@ -43,12 +59,12 @@ def _distances(is_marked: Tensor) -> Tensor:
     return squares.sqrt()
 
 
-def _depths_reference(layers: Tensor, thresholds: Tensor) -> Tensor:
+def _depths_reference(layers: Tensor, parameters: Tensor) -> Tensor:
     """The mean distance of 3 x 3 pixels from outlines of drops, rounded down, in bytes.
 
     Pixels of an outline are those of a drop next to one that is none.
     """
-    inside = (_levels(layers, thresholds) > 0).float()
+    inside = (_levels(layers, parameters) > 0).float()
     least = torch.minimum(*(-F.max_pool2d(-inside, k, 1, (k[0] // 2, k[1] // 2)) for k in ((3, 1), (1, 3))))
     return (_sum_of_nine(_distances(inside > least)) / 9).to(torch.uint8)
 
@@ -62,12 +78,31 @@ drop_depths = register(
 )
 
 
-def _reliefs_reference(layers: Tensor, thresholds: Tensor, depths: Tensor) -> Tensor:
+def _reliefs_reference(layers: Tensor, parameters: Tensor, depths: Tensor) -> Tensor:
     """Levels of drops times their light: the slope of depths from the upper left corner, its mean over 3 x 3 pixels."""
     z = _reflected(depths.int())
     light = 2 * (z[..., 2:, 2:] - z[..., :-2, :-2]) + z[..., 1:-1, 1:-1] + z[..., 2:, 1:-1] + z[..., 1:-1, 2:]
     light = (light - z[..., :-2, 1:-1] - z[..., 1:-1, :-2]).clamp(0, 255)
-    return ((2 * _sum_of_nine(light) + 9) // 18) * _levels(layers, thresholds)
+    return ((2 * _sum_of_nine(light) + 9) // 18) * _levels(layers, parameters)
 
 
 drop_reliefs = register("drop_reliefs", _reliefs_reference, non_differentiable=(0,), layout_of=0)
+
+
+def _stains_reference(layers: Tensor, parameters: Tensor) -> Tensor:
+    """1 where layers are above the threshold, and 0 elsewhere."""
+    values, threshold = _values(layers, parameters)
+    return (values > threshold).to(layers.dtype)
+
+
+mark_stains = register("mark_stains", _stains_reference, non_differentiable=(0,), layout_of=0)
+
+
+def _of_sample(b: int, parameters: Tensor, *depths: Any) -> tuple[Any, ...]:
+    """The arguments of a layer of a list, by its number."""
+    return row(parameters, b), *(of_list[b][None] for of_list in depths)
+
+
+register_list("drop_depths_list", drop_depths, _of_sample, dtype=torch.uint8)
+register_list("drop_reliefs_list", drop_reliefs, _of_sample)
+register_list("mark_stains_list", mark_stains, _of_sample)

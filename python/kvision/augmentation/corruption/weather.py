@@ -13,21 +13,20 @@ from kvision._clamp import clamp
 from kvision._constants import constant
 from kvision._dtype import compute_dtype
 from kvision.augmentation import ranges
-from kvision.augmentation.corruption.drops import drop_depths, drop_reliefs
+from kvision.augmentation.corruption.drops import drop_depths, drop_reliefs, mark_stains
 from kvision.augmentation.corruption.glass import reach_of
-from kvision.augmentation.corruption.layer import behind, layered
+from kvision.augmentation.corruption.layer import layered
 from kvision.augmentation.corruption.layer_base import LayerAugmentation
 from kvision.augmentation.engine import Execution, Params
-from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
+from kvision.augmentation.lists import filter_lists, statistics_lists
 from kvision.augmentation.lists.brightest import brightest
 from kvision.augmentation.lists.sides import rows_on_device, sides_of_list
+from kvision.augmentation.maps import as_batch
 from kvision.augmentation.random_generator.mapped import MappedGenerator, NoiseMap
 from kvision.augmentation.random_generator.plasma import PlasmaGenerator
 from kvision.augmentation.ranges import Numbers
-from kvision.augmentation.samples import per_sample
 from kvision.core.exceptions import ShapeError, TypeCheckError
-from kvision.enhance.equalize import equalize
-from kvision.filters.smoothing.gaussian import gaussian_blur2d
+from kvision.filters.smoothing.gaussian import blur_arguments
 from kvision.geometry.transform.lists.arguments import largest_shape, sizes
 from kvision.geometry.transform.lists.kept_sizes import Operation
 
@@ -202,7 +201,7 @@ class RandomFrost(LayerAugmentation, keeps_contract=True):
         return self._operation(like, self._params_on_device(like, execution, for_users=False), images)
 
 
-class Spatter(IntensityAugmentationBase2D, keeps_contract=True):
+class Spatter(LayerAugmentation, keeps_contract=True):
     """Throw rain or mud at the lens: where smooth noise is above a threshold drops brighten images, or stains hide them.
 
     These are the modes of Albumentations' `Spatter` and of ImageNet-C. Images of other than 3 channels get the gray of the color.
@@ -264,31 +263,69 @@ class Spatter(IntensityAugmentationBase2D, keeps_contract=True):
         self._reaches = reach_of(generator._ranges[2].high), reach_of(generator._ranges[4].high)
         self._param_generator = generator
 
-    def apply_transform(
-        self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
-    ) -> Tensor:
-        names = ("mean", "std", "cutout_threshold", "intensity", "gauss_sigma")
-        own = compute_dtype(input)
-        mean, std, threshold, intensity, sigma = (params[name].to(input.device, own) for name in names)
-        noise = torch.addcmul(per_sample(mean, input), per_sample(std, input), params["noise"].to(input.device, own))
-        layer = _smooth(noise, sigma[:, None].expand(-1, 2), self._reaches[0])
+    _param_generator: MappedGenerator
+
+    def _operation(self, like: Tensor, params: Params) -> Operation:
+        own, noise = compute_dtype(like), params["noise"]
+        mean, std, threshold, intensity, sigma = (
+            params[name].to(like.device, own)
+            for name in ("mean", "std", "cutout_threshold", "intensity", "gauss_sigma")
+        )
+        if isinstance(noise, Tensor):
+            noise = noise.to(like.device, own)
+        smoothed = on_layers(_smoothing(like, sigma[:, None].expand(-1, 2), self._reaches[0]), noise)
+        parameters = torch.stack([mean, std, threshold], 1).detach()
         if self.mode == "rain":
-            return rainy(input, layer, threshold, intensity, self.color)
-        soft = intensity[:, None].expand(-1, 2)
-        return muddy(input, layer, threshold, soft, self._reaches[1], self.color)
+            return rainy(like, smoothed, parameters, intensity, self.color)
+        softened = _smoothing(like, intensity[:, None].expand(-1, 2), self._reaches[1])
+        return muddy(like, smoothed, parameters, softened, self.color)
+
+    def _operation_on_list(self, images: Sequence[Tensor], like: Tensor, execution: Execution) -> Operation:
+        assert execution.columns is not None
+        values, noise = execution.columns.values, self._pixel_noise(execution, execution.redraw, like.device)
+        map: Any = self._param_generator.maps["noise"]
+        drawn = {"noise": map.draw_list(noise, [tuple(x.shape) for x in images], 0)}
+        return self._operation(like, {**self._named(values, execution), **drawn})
+
+    def _operates_on(self, dtype: torch.dtype) -> bool:
+        return dtype != torch.float64 and super()._operates_on(dtype)
 
 
-def _smooth(x: Tensor, deviations: Any, reach: int) -> Tensor:
-    y: Tensor = gaussian_blur2d(x, (2 * reach + 1,) * 2, deviations, "replicate")
-    return y
+Layers: TypeAlias = Tensor | Sequence[Tensor]  # (B, 1, H, W), or (1, H, W) of each image of a list
 
 
-def spattered(x: Tensor, noise: Tensor, smooth: float, threshold: float, intensity: float, mode: SpatterMode) -> Tensor:
-    """Images behind rain or mud of noise (B, 1, H, W)."""
-    layer, own = _smooth(noise, (smooth, smooth), reach_of(smooth)), constant((threshold,), noise)
+def on_layers(operation: Operation, layers: Layers) -> Layers:
+    """What an operator makes of layers."""
+    return operation(layers) if isinstance(layers, Tensor) else operation.on_list(layers)
+
+
+def _smoothing(like: Tensor, deviations: Any, reach: int) -> Operation:
+    """A Gaussian blur of the layers of images like a batch."""
+    arguments = blur_arguments("gaussian_blur2d", like, (2 * reach + 1,) * 2, deviations, "replicate")
+    return Operation(filter_lists.gaussian_blur2d, arguments[1:])
+
+
+def _as_batch(layers: Layers) -> Tensor:
+    return layers if isinstance(layers, Tensor) else as_batch(layers)
+
+
+def spattered(
+    like: Tensor,
+    noise: Layers,
+    mean: float,
+    deviation: float,
+    smooth: float,
+    threshold: float,
+    intensity: float,
+    mode: SpatterMode,
+) -> Operation:
+    """What puts images like a batch behind rain or mud of standard normal noise."""
+    own = compute_dtype(like)
+    smoothed = on_layers(_smoothing(like, (smooth, smooth), reach_of(smooth)), noise)
+    parameters = constant(((mean, deviation, threshold),), like, own)
     if mode == "rain":
-        return rainy(x, layer, own, constant((intensity,), noise))
-    return muddy(x, layer, own, (intensity, intensity), reach_of(intensity))
+        return rainy(like, smoothed, parameters, constant((intensity,), like, own))
+    return muddy(like, smoothed, parameters, _smoothing(like, (intensity, intensity), reach_of(intensity)))
 
 
 def _colored(color: tuple[float, ...], x: Tensor, like: Tensor) -> Tensor:
@@ -298,32 +335,30 @@ def _colored(color: tuple[float, ...], x: Tensor, like: Tensor) -> Tensor:
 
 
 def muddy(
-    x: Tensor,
-    layer: Tensor,
-    threshold: Tensor,
-    soft: Any,
-    reach: int,
-    color: tuple[float, ...] = _COLORS["mud"],
-) -> Tensor:
-    """Images behind stains where smooth noise (B, 1, H, W) is above thresholds (B,); a Gaussian of so many taps softens them."""
-    stains = _smooth((layer > threshold[:, None, None, None]).to(layer), soft, reach)
-    stains = torch.where(stains < 0.8, 0, stains)
-    return behind(x, stains, 1.0, -1.0, _colored(color, x, layer), 0.0)
+    like: Tensor, smoothed: Layers, parameters: Tensor, softening: Operation, color: tuple[float, ...] = _COLORS["mud"]
+) -> Operation:
+    """What puts images behind stains, whose edges are softened, where smoothed noise is above a threshold.
+
+    Parameters (B or 1, 3) are mean and deviation of the noise, and the threshold.
+    """
+    stains = _as_batch(on_layers(softening, on_layers(Operation(mark_stains, (parameters,)), smoothed)))
+    return layered(torch.where(stains < 0.8, 0, stains), 1.0, -1.0, _colored(color, like, stains), 0.0)
 
 
 def rainy(
-    x: Tensor,
-    layer: Tensor,
-    threshold: Tensor,
+    like: Tensor,
+    smoothed: Layers,
+    parameters: Tensor,
     intensity: Tensor,
     color: tuple[float, ...] = _COLORS["rain"],
-) -> Tensor:
-    """Images brightened by drops of intensities (B,) where smooth noise (B, 1, H, W) is above thresholds (B,).
+) -> Operation:
+    """What brightens images by drops of intensities (B or 1,) where smoothed noise is above a threshold, as :func:`muddy` has it.
 
     A drop is a relief of its levels, lit from a corner: that of the distance from the outlines of drops.
     """
-    layer, threshold = layer.detach(), threshold.detach()
-    depths = equalize(drop_depths(layer, threshold), opencv=True)
-    relief = drop_reliefs(layer, threshold, depths)
-    strength = intensity / relief.amax((1, 2, 3)).clamp(min=1)
-    return behind(x, relief, 1.0, 0.0, strength[:, None] * _colored(color, x, layer), 0.0)
+    depths = on_layers(Operation(drop_depths, (parameters,)), smoothed)
+    equalized = on_layers(Operation(statistics_lists.equalize, (True,)), depths)
+    reliefs = on_layers(Operation(drop_reliefs, (parameters, equalized)), smoothed)
+    most = reliefs.amax((1, 2, 3)) if isinstance(reliefs, Tensor) else brightest(reliefs)
+    strength = (intensity / most.clamp(min=1))[:, None]
+    return layered(_as_batch(reliefs), 1.0, 0.0, strength * _colored(color, like, strength), 0.0)

@@ -89,6 +89,7 @@ def register_list(
     backward: Callable[..., Sequence[Tensor | None]] | None = None,
     kept: Callable[..., Arguments] | None = None,
     of_images: Callable[..., Sequence[Tensor]] | None = None,
+    dtype: torch.dtype | None = None,
 ) -> ListOperator:
     """The operator on lists of images (C, H, W) that an operator on images (B, C, H, W) has a kernel for.
 
@@ -100,6 +101,7 @@ def register_list(
             default: those of the reference.
         kept: the arguments behind the images with which those stay that are not chosen, for which are, (B,), and the arguments.
         of_images: the gradients of all images at once, for those of the results and the arguments, where no others are wanted.
+        dtype: the type of the results; default: that of the images.
     """
 
     of_batch = backward or _of_reference(of)
@@ -116,7 +118,7 @@ def register_list(
         found = [None if own[0] is None else _of_all(own, x) for own, x in zip(others, args)]
         return [[g[0] for g in own_images] if needs[0] else None, *found, *(None,) * (len(needs) - 1 - len(found))]
 
-    operator = _register(name, of, reference, gradients)
+    operator = _register(name, of, reference, gradients, dtype=dtype)
     if kept is not None:
         _KEPT[operator] = kept
     return operator
@@ -138,13 +140,19 @@ def _register(
     reference: Callable[..., list[Tensor]],
     gradients: Callable[..., list[Any]],
     supports: Callable[..., str | None] = lambda *args: None,
+    dtype: torch.dtype | None = None,
 ) -> ListOperator:
     """The operator on lists, whose results have the sizes of the images."""
+
+    def fake(images: Sequence[Tensor], *args: Any) -> list[Tensor]:
+        results = lists.fake_results(images, [n for x in images for n in x.shape[-2:]])
+        return results if dtype is None else [y.to(dtype) for y in results]
+
     _OF_LISTS[of] = ListOperator(
         name,
         of,
         reference,
-        fake=lambda images, *args: lists.fake_results(images, [n for x in images for n in x.shape[-2:]]),
+        fake=fake,
         backward=gradients,
         supports=supports,
     )

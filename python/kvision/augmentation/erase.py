@@ -92,7 +92,7 @@ def _register_list(name: str, erase: Operator) -> None:
     def gradients(needs: Sequence[bool], grad: Tensor, images: Tensor, *args: Tensor) -> list[Tensor | None]:
         return _gradients(erase, needs, grad, *args)
 
-    def of_images(grads: Sequence[Tensor], parts: Tensor, values: Tensor) -> Sequence[Tensor]:
+    def of_images(grads: Sequence[Tensor], images: Sequence[Tensor], parts: Tensor, values: Tensor) -> Sequence[Tensor]:
         return of_list(grads, parts, torch.zeros_like(values))
 
     of_list = register_list(name, erase, _of_sample, gradients, of_images=of_images)

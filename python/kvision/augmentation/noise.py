@@ -16,6 +16,7 @@ from torch import Tensor
 
 from kvision._clamp import clamp
 from kvision._constants import constant
+from kvision._dtype import compute_dtype
 from kvision._limits import NOISE_BY_CHANNEL as BY_CHANNEL
 from kvision._limits import NOISE_CLAMP as CLAMP
 from kvision._limits import NOISE_MULTIPLY as MULTIPLY
@@ -172,26 +173,34 @@ def _noise_backward(
     form = _form(plan)
     if not needs[1] and not form & (MULTIPLY | CLAMP):
         return [grad, None]
-    # The noise alone, which only factors, clamped results and ranges with gradients need.
-    standard = constant(((0.0, 1.0),), parameters)
     grads, x, chooses = _computed(grad), _computed(images), is_chosen(chosen, images)
-    noise = _ADDED[operator](
-        torch.zeros_like(grads), standard, keys, seeds, chosen, [*plan[:4], form & (SHARED | UNIT)]
-    )
+    noise = _ADDED[operator](torch.zeros_like(grads), *_noise_alone(parameters, keys, seeds, chosen, plan))
     mean, scale = parameters[:, :, None, None, None].unbind(1)
-    term = mean + scale * noise
+    to_images, to_term = _gradients_of_added(grads, x, mean + scale * noise, chooses, form)
+    to_images = to_images.to(grad.dtype) if form & (MULTIPLY | CLAMP) else grad
+    if not needs[1]:
+        return [to_images, None]
+    to_each = torch.stack([to_term.sum((1, 2, 3)), (to_term * noise).sum((1, 2, 3))], 1)
+    return [to_images, to_each.sum_to_size(parameters.shape)]
+
+
+def _noise_alone(
+    parameters: Tensor, keys: Tensor, seeds: Tensor | None, chosen: Tensor | None, plan: Sequence[int]
+) -> tuple[Any, ...]:
+    """The arguments of noise of mean 0 and scale 1, which only factors, clamped results and ranges with gradients need."""
+    own = [*plan[:4], _form(plan) & (SHARED | UNIT), _first_sample(plan)]
+    return constant(((0.0, 1.0),), parameters), keys, seeds, chosen, own
+
+
+def _gradients_of_added(grads: Tensor, x: Tensor, term: Tensor, chooses: Tensor, form: int) -> tuple[Tensor, Tensor]:
+    """The gradients of images x, and of `term`, which is added or a factor, where `chooses`."""
     to_result = torch.where(chooses, grads, 0.0)
     if form & CLAMP:
         y = x * term if form & MULTIPLY else x + term
         to_result = torch.where((y < 0) | (y > 1), 0.0, to_result)
-    to_images = grad
-    if form & (MULTIPLY | CLAMP):
-        to_images = torch.where(chooses, to_result * term if form & MULTIPLY else to_result, grads).to(grad.dtype)
-    if not needs[1]:
-        return [to_images, None]
-    to_term = to_result * x if form & MULTIPLY else to_result
-    to_each = torch.stack([to_term.sum((1, 2, 3)), (to_term * noise).sum((1, 2, 3))], 1)
-    return [to_images, to_each.sum_to_size(parameters.shape)]
+    if not form & MULTIPLY:
+        return torch.where(chooses, to_result, grads), to_result
+    return torch.where(chooses, to_result * term, grads), to_result * x
 
 
 def _register_added(name: str, reference: Callable[..., Tensor]) -> Operator:
@@ -335,7 +344,7 @@ def _salt_and_pepper_gradients(needs: Sequence[bool], grad: Tensor, images: Tens
     return [_salt_and_pepper_backward(grad, *args)]
 
 
-def _all_pepper(grads: Sequence[Tensor], parameters: Tensor, *rest: Any) -> Sequence[Tensor]:
+def _all_pepper(grads: Sequence[Tensor], images: Sequence[Tensor], parameters: Tensor, *rest: Any) -> Sequence[Tensor]:
     """Gradients are 0 where pixels are hit, as images are where nothing is salt."""
     *others, plan = rest
     index, position, draw, same, *_ = plan
@@ -343,8 +352,38 @@ def _all_pepper(grads: Sequence[Tensor], parameters: Tensor, *rest: Any) -> Sequ
     return _salt_and_pepper_list(grads, parameters * constant((1.0, 0.0), parameters), *others, own)
 
 
-register_list("gaussian_noise_list", gaussian_noise, _of_sample, partial(_noise_backward, "gaussian_noise"))
-register_list("uniform_noise_list", uniform_noise, _of_sample, partial(_noise_backward, "uniform_noise"))
+def _register_added_list(operator: str) -> None:
+    def of_images(grads: Sequence[Tensor], images: Sequence[Tensor], parameters: Tensor, *rest: Any) -> list[Tensor]:
+        *_, chosen, plan = rest
+        form = _form(plan)
+        if not form & (MULTIPLY | CLAMP):
+            return list(grads)
+        # All pixels as one row: so many operations of torch for any number of images.
+        counts = [x.numel() for x in images]
+        total, dtype = sum(counts), compute_dtype(grads[0])
+        own_counts = torch.tensor(counts, device="cpu").to(grads[0].device, non_blocking=True)
+
+        def row_of(each: Sequence[Tensor]) -> Tensor:
+            return torch.cat([x.reshape(-1) for x in each]).to(dtype)
+
+        def of_pixels(numbers: Tensor) -> Tensor:
+            return torch.repeat_interleave(numbers.expand(len(counts)), own_counts, output_size=total)
+
+        zeros = torch.zeros(total, dtype=dtype, device=grads[0].device).split(counts)
+        noise = of_list([z.view(x.shape) for z, x in zip(zeros, images)], *_noise_alone(parameters, *rest))
+        mean, scale = parameters.unbind(1)
+        term = of_pixels(mean) + of_pixels(scale) * row_of(noise)
+        chooses = constant((1.0,), parameters) if chosen is None else of_pixels(chosen)
+        row, _ = _gradients_of_added(row_of(grads), row_of(images), term, chooses != 0, form)
+        return [g.view(x.shape) for g, x in zip(row.to(grads[0].dtype).split(counts), images)]
+
+    of_list = register_list(
+        f"{operator}_list", _ADDED[operator], _of_sample, partial(_noise_backward, operator), of_images=of_images
+    )
+
+
+_register_added_list("gaussian_noise")
+_register_added_list("uniform_noise")
 _salt_and_pepper_list = register_list(
     "salt_and_pepper_list", salt_and_pepper, _of_sample, _salt_and_pepper_gradients, of_images=_all_pepper
 )

@@ -50,7 +50,7 @@ BACKWARD_BY_SIZE = {
     "an antialiased warp": {"RandomZoomOut"},
     "a stencil": {"RandomMedianBlur", "RandomSharpness", "RingingOvershoot"},
     "statistics of the image": {"RandomAutoContrast", "RandomClahe", "RandomEqualize", "RandomJPEG"},
-    "noise that is multiplied or clamped": {"CommonCorruption", "ISONoise", "MultiplicativeNoise", "SpeckleNoise"},
+    "noise of hue and light": {"ISONoise"},
     "a layer": {
         "RandomFog",
         "RandomFrost",

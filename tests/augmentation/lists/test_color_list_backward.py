@@ -1,4 +1,4 @@
-"""Gradients of color programs on lists of images, in the launches of a batch: those of each image alone."""
+"""Gradients of color programs, noise and erasing on lists of images, in the launches of a batch: those of each image alone."""
 
 from __future__ import annotations
 
@@ -18,9 +18,17 @@ PROGRAMS = {
     "jitter": lambda: A.ColorJitter(0.3, 0.3, 0.3, 0.1, p=0.8),
     "order": lambda: A.ColorJitter(0.3, 0.3, 0.3, 0.1, p=1.0),
     "grayscale": lambda: A.RandomGrayscale(p=1.0),
+    "factors of noise": lambda: A.MultiplicativeNoise((0.5, 1.5), True, True, p=0.8),
+    "speckle": lambda: A.SpeckleNoise((0.3, 0.5), p=1.0),
+    "clamped noise": lambda: A.CommonCorruption("gaussian_noise", 5),
+    "salt and pepper": lambda: A.RandomSaltAndPepperNoise((0.3, 0.5), p=0.8),
+    "random pixels": lambda: A.PixelDropout(0.3, per_channel=True, drop_value="random", p=1.0),
+    "erasing": lambda: A.RandomErasing((0.1, 0.5), value=0.5, p=0.8),
+    "grid": lambda: A.GridMask(p=1.0),
     "warp": lambda: A.ImageSequential(A.RandomAffine(20.0), A.ColorJitter(0.3, 0.3, 0.3, 0.1, p=1.0)),
     "size": lambda: A.ImageSequential(A.Pad(3), A.RandomSaturation((0.5, 1.5), p=1.0)),
 }
+COLORS = ("values", "affine", "channels", "one mean", "jitter", "order", "grayscale")
 TYPES = [torch.float32, torch.float64, torch.float16]
 
 
@@ -42,7 +50,7 @@ def test_gradients_are_those_of_each_image(name, dtype, layout, device, backend)
     for b, x in enumerate(images):
         (alone,) = torch.autograd.grad(augment(x[None], seed=seeds[b : b + 1]), x, grads[b][None])
         assert found[b].dtype == dtype
-        if backend != "reference" and name not in ("warp", "size"):  # the gradients of warps are planes
+        if backend != "reference" and name in COLORS:  # the gradients of others may be planes
             assert found[b].stride() == x.stride()
         assert_close(found[b], alone, tolerance, tolerance)
 
@@ -53,6 +61,16 @@ def test_other_channels_and_long_lists(device):
     results = A.RandomInvert(p=1.0)(images)
     for gradient, x in zip(torch.autograd.grad(results, images, [y.detach() for y in results]), images):
         assert_close(gradient, x.detach() - 1)
+
+
+def test_gradients_of_factors_that_differ_by_the_number_of_the_image(device):
+    """A list with one seed draws by the numbers of its images, as a batch does."""
+    images = [(0.2 + 0.3 * x).requires_grad_() for x in pictures(device, SIZES)]
+    results = A.MultiplicativeNoise((0.5, 1.5), elementwise=True, p=1.0)(images, seed=5)
+    for gradient, x, y in zip(
+        torch.autograd.grad(results, images, [torch.ones_like(y) for y in results]), images, results
+    ):
+        assert_close(gradient, (y / x).detach())
 
 
 @pytest.mark.derivatives

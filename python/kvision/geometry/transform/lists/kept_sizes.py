@@ -100,7 +100,8 @@ def register_list(
         backward: the gradients of the first tensors of a batch, for which of them are wanted, the gradient and the arguments;
             default: those of the reference.
         kept: the arguments behind the images with which those stay that are not chosen, for which are, (B,), and the arguments.
-        of_images: the gradients of all images at once, for those of the results and the arguments, where no others are wanted.
+        of_images: the gradients of all images at once, for those of the results, the images and the arguments, where no others
+            are wanted.
         dtype: the type of the results; default: that of the images.
     """
 
@@ -112,7 +113,7 @@ def register_list(
     def gradients(needs: Sequence[bool], grads: Any, images: Sequence[Tensor], *args: Any) -> list[Any]:
         grads = [torch.zeros_like(x) if g is None else g for g, x in zip(grads, images)]
         if of_images is not None and not any(needs[1:]):
-            return [of_images(grads, *args), *(None,) * (len(needs) - 1)]
+            return [of_images(grads, images, *args), *(None,) * (len(needs) - 1)]
         each = [of_batch(needs, g[None], x[None], *of_sample(b, *args)) for b, (g, x) in enumerate(zip(grads, images))]
         own_images, *others = zip(*each)
         found = [None if own[0] is None else _of_all(own, x) for own, x in zip(others, args)]

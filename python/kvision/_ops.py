@@ -544,9 +544,9 @@ class FastPath:
         self._call_kernel = None if "cpu" in unserved else kernel_caller(find_operator("kvision", name).default)
         self.kernel: Any = self._first_call if clamps else self._call_kernel
 
-    def _first_call(self, x: Tensor, *args: Any) -> Any:
+    def _first_call(self, x: Any, *args: Any) -> Any:
         self.kernel = self._call_kernel
-        look_at_range(x)
+        look_at_range(x if isinstance(x, Tensor) else x[0])
         return self.kernel(x, *args)
 
     def serves(self, x: Tensor) -> bool:

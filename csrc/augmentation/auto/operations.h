@@ -6,7 +6,9 @@
 #pragma once
 
 #include "color/program.h"
+#include "core/product.h"
 #include "enhance/byte_histogram.h"
+#include "geometry/transform/lists/sample_list.h"
 #include "geometry/transform/matrices.h"
 #include "geometry/transform/sampling.h"
 
@@ -64,6 +66,31 @@ struct ApplyOperations {
   KV_HD float value_of(int64_t b) const { return value[b * value_stride]; }
 };
 
+// The same of a list of images of different sizes. `all` is what the samples share, with the numbers of all of them and
+// without images.
+template <class T>
+struct ApplyOperationsList {
+  ApplyOperations<T> all;
+  ListedSamples list;
+  int tiles_per_block;  // on CUDA
+};
+
+// A sample of a list, as a batch of one.
+template <class T>
+KV_HD ApplyOperations<T> sample_at(ApplyOperationsList<T> const& p, int b) {
+  ListedImage const& image = p.list.images[b];
+  geometry::Size const size{image.height, image.width};
+  ApplyOperations<T> one = p.all;
+  geometry::select_sample(one.warp, b, size, size);
+  one.warp.x = images_of<T>(image, kImageChannels);
+  one.warp.y = images_of<T>(p.list.results[b], kImageChannels, p.list.interleaved);
+  one.operation += b * one.operation_stride;
+  one.value += b * one.value_stride;
+  one.matrices += 9 * b;
+  one.measured += b * kImageChannels * kMeasured;
+  return one;
+}
+
 // The sums of a plane that its gradient needs: of contrast that of the mean's gradient, of auto_contrast the RangeSums.
 constexpr int kGradientSums = 4;
 
@@ -105,8 +132,36 @@ struct ChooseOperations {
   }
 };
 
+// Adds the results of a chain of operations to the mixtures of a list, of which it is the first or a further chain. The
+// images and the results are dense; results, chains and sums are blocks of memory with the images at the same places.
+template <class T>
+struct MixOperations {
+  ListedSamples list;
+  T const *results, *chains;
+  float* sums;                           // of mixtures that have further chains
+  float const *weights, *image_weights;  // of the chain and of the image itself, of each sample
+  int64_t weight_stride;
+  bool is_first, is_last;
+
+  // Of V values of a sample, at `at` in the blocks. As operators would that multiply and add one after the other.
+  template <class V>
+  KV_HD V sum(int b, V image, V chain, V sum) const {
+    int64_t const own = b * weight_stride;
+    V const before = is_first ? product(image, image_weights[own]) : sum;
+    return before + product(chain, weights[own]);
+  }
+  KV_HD int64_t place_of(int b) const { return static_cast<T const*>(list.results[b].data) - results; }
+  KV_HD int64_t values_of(int b) const {
+    return kImageChannels * int64_t(list.results[b].height) * list.results[b].width;
+  }
+};
+constexpr int kMixedValues = 4096;  // of an item
+
 KV_KERNEL(apply_operations, ApplyOperations)
+// On the CPU an item is a sample, on CUDA a block of tiles of one.
+KV_KERNEL(apply_operations_list, ApplyOperationsList)
 KV_KERNEL(apply_operations_backward, ApplyOperationsBackward)
+KV_KERNEL(mix_operations_list, MixOperations)
 KV_KERNEL(choose_operations, ChooseOperations)
 
 // The matrix of an operation, the identity if it moves no pixels. Values are degrees counter-clockwise, tangents,

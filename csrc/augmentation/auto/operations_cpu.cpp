@@ -195,6 +195,38 @@ void apply_operations(ApplyOperations<T> const& p, int64_t begin, int64_t end) {
   }
 }
 
+// Samples of a list.
+template <class T>
+void apply_operations_list(ApplyOperationsList<T> const& p, int64_t begin, int64_t end) {
+  for (int64_t b = begin; b < end; ++b) apply_operations(sample_at(p, int(b)), 0, 1);
+}
+
+// Items of a list.
+template <class T>
+void mix_operations_list(MixOperations<T> const& p, int64_t begin, int64_t end) {
+  for (int64_t item = begin; item < end; ++item) {
+    int const b = p.list.sample_of(int(item));
+    T const* const image = static_cast<T const*>(p.list.images[b].data);
+    T* const result = static_cast<T*>(p.list.results[b].data);
+    int64_t const place = p.place_of(b), first = (item - p.list.first[b]) * kMixedValues;
+    T const* const chain = p.chains + place;
+    float* const sums = p.sums + place;
+    int64_t const last = min(first + kMixedValues, p.values_of(b));
+    auto const mix = [&](auto width, int64_t i) {
+      constexpr int N = decltype(width)::value;
+      using V = Lanes<float, N>;
+      V const own = p.is_first ? load<N>(image + i) : V{}, before = p.is_first ? V{} : load<N>(sums + i);
+      V const sum = p.sum(b, own, load<N>(chain + i), before);
+      p.is_last ? store<N>(result + i, sum) : store<N>(sums + i, sum);
+    };
+    // The last vector must not read sums that it has written.
+    constexpr int N = kLanes<T>;
+    int64_t i = first;
+    for (; i + N <= last; i += N) mix(Width<N>{}, i);
+    for (; i < last; ++i) mix(Width<1>{}, i);
+  }
+}
+
 template <class T>
 void apply_operations_backward(ApplyOperationsBackward<T> const& p, int64_t begin, int64_t end) {
   Images<T const> const& x = p.forward.warp.x;
@@ -241,9 +273,17 @@ void choose_operations(ChooseOperations<T> const& p, int64_t begin, int64_t end)
 
 KV_INSTANTIATE_ONE(apply_operations, ApplyOperations, float)
 KV_INSTANTIATE_ONE(apply_operations, ApplyOperations, uint8_t)
+KV_INSTANTIATE_ONE(apply_operations_list, ApplyOperationsList, float)
+KV_INSTANTIATE_ONE(mix_operations_list, MixOperations, float)
+KV_INSTANTIATE_ONE(apply_operations_list, ApplyOperationsList, uint8_t)
+KV_INSTANTIATE_ONE(mix_operations_list, MixOperations, uint8_t)
 #if !defined(__AVX512F__)
 KV_INSTANTIATE_ONE(apply_operations, ApplyOperations, ::kv::Half)
 KV_INSTANTIATE_ONE(apply_operations, ApplyOperations, ::kv::BFloat16)
+KV_INSTANTIATE_ONE(apply_operations_list, ApplyOperationsList, ::kv::Half)
+KV_INSTANTIATE_ONE(mix_operations_list, MixOperations, ::kv::Half)
+KV_INSTANTIATE_ONE(apply_operations_list, ApplyOperationsList, ::kv::BFloat16)
+KV_INSTANTIATE_ONE(mix_operations_list, MixOperations, ::kv::BFloat16)
 #endif
 KV_INSTANTIATE_ONE(apply_operations_backward, ApplyOperationsBackward, float)
 KV_INSTANTIATE_ONE(choose_operations, ChooseOperations, float)

@@ -1,8 +1,9 @@
 // The operations of policies: schemas and entries, for CPU and CUDA.
 #include "augmentation/auto/operations.h"
 #include "augmentation/warp_and_color_glue.h"
+#include "color/lists/program_list_glue.h"
 #include "enhance/plane_views.h"
-#include "geometry/transform/sampling_glue.h"
+#include "geometry/transform/lists/warp_list_glue.h"
 
 namespace kv::augmentation {
 namespace {
@@ -43,6 +44,16 @@ void set_warp(geometry::Sampling<T>& p, int64_t batch, geometry::Size const& siz
   p.coords.use = {3, true, false, true, size, size};
 }
 
+// The operations of a step and their values, from sample b on; they are (B,) of one step, or (B, S).
+template <class T>
+void set_operations(ApplyOperations<T>& p, Tensor const& operation, Tensor const& value, int64_t step, int64_t b) {
+  p.operation_stride = operation.stride(0);
+  p.operation =
+      data_ptr<int64_t const>(operation) + (step > 0 ? step * operation.stride(1) : 0) + b * p.operation_stride;
+  p.value_stride = value.stride(0);
+  p.value = data_ptr<float const>(value) + (step > 0 ? step * value.stride(1) : 0) + b * p.value_stride;
+}
+
 // A step on dense images; operation and value are (B,) of one step, or (B, S).
 template <class T>
 ApplyOperations<T> operations_on(char const* op, Tensor const& x, Layout layout, Tensor const& operation,
@@ -53,10 +64,7 @@ ApplyOperations<T> operations_on(char const* op, Tensor const& x, Layout layout,
   geometry::check_planes(op, p.warp.x);
   set_warp<T>(p.warp, x.size(0), {x.size(2), x.size(3)}, matrices);
   p.matrices = matrices;
-  p.operation = data_ptr<int64_t const>(operation) + (step > 0 ? step * operation.stride(1) : 0);
-  p.operation_stride = operation.stride(0);
-  p.value = data_ptr<float const>(value) + (step > 0 ? step * value.stride(1) : 0);
-  p.value_stride = value.stride(0);
+  set_operations(p, operation, value, step, 0);
 #if defined(KV_CUDA)
   p.measured = data_ptr<float>(measured);
 #endif
@@ -106,6 +114,108 @@ std::tuple<Tensor, Tensor> apply_operations(Tensor const& images, Tensor const& 
     x = y;
   }
   return {x, matrices};
+}
+
+// Runs steps [begin, end) on images (3, h, w) in dense rows, by turns into the results of `kept` and, of several steps,
+// into further memory. Writes the matrices (S, B, 3, 3) of the steps, and returns the images.
+Tensors run_listed_steps(geometry::KeptSizes const& kept, Tensors const& images, Tensor const& operation,
+                         Tensor const& value, int64_t begin, int64_t end, Tensor const& matrices,
+                         [[maybe_unused]] Tensor const& measured) {
+  Tensor const& like = kept.largest;
+  size_t const count = images.size();
+  geometry::ListSizes const sizes(kept.op, kept.sides, count);
+  int const tiles = geometry::tiles_per_block_of(sizes, count);
+  auto const items_of = [&](size_t b) { return geometry::kOnCuda ? geometry::blocks_of(sizes[b], tiles) : 1; };
+  Tensors const others =
+      end - begin > 1 ? geometry::empty_list(like, kImageChannels, sizes, count, kept.layout) : Tensors{};
+  Tensors const* from = &images;
+  for (int64_t step = begin; step < end; ++step) {
+    Tensors const& to = from == &kept.results ? others : kept.results;
+    dispatch_joined(kept.op, like, [&]<class T>(Type<T>) {
+      ApplyOperationsList<T> p;
+      p.list.interleaved = kept.interleaved();
+      p.tiles_per_block = tiles;
+      auto const run = [&](size_t first) {
+        int64_t const b = int64_t(first);
+        float* const own = data_ptr<float>(matrices) + (step * int64_t(count) + b) * 9;
+        p.all = {};
+        set_warp<T>(p.all.warp, 1, {1, 1}, own);
+        set_operations(p.all, operation, value, step, b);
+        p.all.matrices = own;
+#if defined(KV_CUDA)
+        p.all.measured = data_ptr<float>(measured) + b * kImageChannels * kMeasured;
+#endif
+        KV_RUN(apply_operations_list, like, p, p.list.items, 6 * kImageChannels * like.size(2) * like.size(3));
+      };
+      geometry::for_each_table(
+          p.list, count, [&](size_t b) { return geometry::checked_planes(kept.op, listed((*from)[b])); },
+          [&](size_t b) { return listed(to[b]); }, items_of, run);
+    });
+    from = &to;
+  }
+  return *from;
+}
+
+// All steps of a policy on a list of images (3, h, w). The matrices (S, B, 3, 3) follow the results.
+Tensors apply_operations_list(Tensors const& images, Tensor const& operation, Tensor const& value) {
+  constexpr char const* op = "apply_operations_list";
+  geometry::KeptSizes const kept(op, images);
+  check_arguments(op, kept.largest, operation, value, true);
+  int64_t const batch = int64_t(images.size()), steps = operation.size(1);
+  Tensor const matrices = empty({steps, batch, 3, 3}, kept.largest, Layout::planar, ScalarType::Float);
+  Tensors results = run_listed_steps(kept, color::in_pixel_rows(images, kept.layout), operation, value, 0, steps,
+                                     matrices, measured_of(kept.largest, kMeasured));
+  results.push_back(matrices);
+  return results;
+}
+
+// Mixtures of images (3, h, w) of a list with chains of as many operations each. The weights (B, 1 + chains) are those
+// of the image and of its chains.
+Tensors mix_operations_list(Tensors const& images, Tensor const& operation, Tensor const& value,
+                            Tensor const& weights) {
+  constexpr char const* op = "mix_operations_list";
+  geometry::KeptSizes const kept(op, images);
+  Tensor const& like = kept.largest;
+  check_arguments(op, like, operation, value, true);
+  size_t const count = images.size();
+  int64_t const batch = int64_t(count), steps = operation.size(1);
+  KV_CHECK(weights.dim() == 2 && weights.size(0) == batch && weights.size(1) > 1 &&
+               weights.scalar_type() == ScalarType::Float && weights.device() == like.device(),
+           op, ": expected float32 weights of shape (B, 1 + chains)");
+  int64_t const chains = weights.size(1) - 1, depth = steps / chains;
+  KV_CHECK(depth * chains == steps, op, ": expected chains of as many operations each");
+  geometry::ListSizes const sizes(op, kept.sides, count);
+  Tensors const dense = color::in_pixel_rows(images, kept.layout);
+  Tensors const results = geometry::empty_list(like, kImageChannels, sizes, count, kept.layout);
+  Tensor const matrices = empty({steps, batch, 3, 3}, like, Layout::planar, ScalarType::Float);
+  Tensor const measured = measured_of(like, kMeasured);
+  int64_t const length = chains > 1 ? geometry::offsets_in_block(kImageChannels, sizes, count)[count] : 0;
+  Tensor const sums = empty({length}, like, Layout::planar, ScalarType::Float);
+  for (int64_t chain = 0; chain < chains; ++chain) {
+    Tensors const of_chain =
+        run_listed_steps(kept, dense, operation, value, chain * depth, (chain + 1) * depth, matrices, measured);
+    dispatch_joined(op, like, [&]<class T>(Type<T>) {
+      MixOperations<T> p;
+      p.list.interleaved = kept.interleaved();
+      p.results = data_ptr<T const>(results[0]);
+      p.chains = data_ptr<T const>(of_chain[0]);
+      p.sums = data_ptr<float>(sums);
+      p.weight_stride = weights.stride(0);
+      p.is_first = chain == 0, p.is_last = chain + 1 == chains;
+      auto const items_of = [&](size_t b) {
+        return ceil_div(kImageChannels * sizes[b].height * sizes[b].width, int64_t(kMixedValues));
+      };
+      auto const run = [&](size_t first) {
+        p.image_weights = data_ptr<float const>(weights) + int64_t(first) * p.weight_stride;
+        p.weights = p.image_weights + (1 + chain) * weights.stride(1);
+        KV_RUN(mix_operations_list, like, p, p.list.items, kMixedValues);
+      };
+      geometry::for_each_table(
+          p.list, count, [&](size_t b) { return listed(dense[b]); }, [&](size_t b) { return listed(results[b]); },
+          items_of, run);
+    });
+  }
+  return results;
 }
 
 // One step, whose results have gradients; operation and value are (B,). Returns the results and the matrices (B, 3, 3).
@@ -183,6 +293,9 @@ std::tuple<Tensor, Tensor> choose_operations(Tensor const& columns, Tensor const
 }  // namespace
 
 KV_OPERATOR(apply_operations, "(Tensor images, Tensor operation, Tensor value) -> (Tensor, Tensor)")
+// The same of images (3, h, w) of different sizes. The matrices follow the images.
+KV_OPERATOR(apply_operations_list, "(Tensor[] images, Tensor operation, Tensor value) -> Tensor[]")
+KV_OPERATOR(mix_operations_list, "(Tensor[] images, Tensor operation, Tensor value, Tensor weights) -> Tensor[]")
 // A step of a policy: each image (B, 3, H, W) gets the operation of its number, with its value; -1 is none. Returns the
 // images and the matrices (B, 3, 3) of operations that move pixels. operation_table.py has the numbers and the values.
 KV_OPERATOR(apply_operation, "(Tensor images, Tensor operation, Tensor value) -> (Tensor, Tensor)")

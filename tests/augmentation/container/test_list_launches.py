@@ -123,7 +123,30 @@ def test_calls_of_corruptions(name, dtype, backend):
     assert not grows(augment, pictures("cpu", SIZES, dtype))
 
 
+POLICIES = {
+    "AutoAugment": A.auto.AutoAugment,
+    "RandAugment": lambda: A.auto.RandAugment(2, 9),
+    "TrivialAugment": A.auto.TrivialAugment,
+    "AugMix": A.auto.AugMix,
+}
+
+
+@DTYPES
+@pytest.mark.parametrize("name", POLICIES)
+def test_calls_of_policies(name, dtype, backend):
+    """At most those of a batch: two that draw, and one that executes all steps, or a chain of a mixture."""
+    if backend == "reference":
+        pytest.skip("this test is about the kernels")
+    augment, images = POLICIES[name](), pictures("cpu", SIZES, dtype)
+    most = 3 if name != "AugMix" else 5
+    assert calls(augment, torch.stack([x[:, :17, :17] for x in images])) == most
+    assert calls(augment, images) <= most and not grows(augment, images)
+
+
 CONTAINERS = {
+    "policies": lambda: A.ImageSequential(
+        A.OneOf(POLICIES["AutoAugment"](), POLICIES["TrivialAugment"]()), A.RandomApply(POLICIES["RandAugment"]())
+    ),
     "OneOf": lambda: A.OneOf(A.RandomAffine(20.0), A.RandomErasing(), A.ShotNoise()),
     "SomeOf": lambda: A.SomeOf(A.RandomAffine(20.0, p=1.0), A.RandomErasing(p=1.0), A.RandomInvert(p=1.0), n=2),
     "RandomApply": lambda: A.RandomApply(A.RandomAffine(20.0, p=1.0), A.RandomErasing(p=1.0)),
@@ -145,7 +168,7 @@ def test_calls_of_containers_are_those_of_their_children(name, backend):
 
 
 REPLAYS = {
-    **{name: make for name, make in CONTAINERS.items() if name not in ("OneOf", "chain")},  # of noise, image by image
+    **{name: make for name, make in CONTAINERS.items() if name not in ("OneOf", "chain", "policies")},  # image by image
     "run": lambda: A.ImageSequential(A.RandomAffine(20.0), A.RandomErasing(), A.ColorJitter(0.2, 0.2, 0.2, 0.1)),
     "late crop": lambda: A.ImageSequential(A.RandomAffine(20.0), A.RandomResizedCrop((12, 14)), A.RandomInvert()),
     "augmentation": lambda: A.RandomRotation(20.0),

@@ -6,18 +6,29 @@ and uncertainty, ICLR 2020. The values of the operations are those of torchvisio
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 import torch
 from torch import Generator, Tensor
 
 from kvision._dtype import compute_dtype
-from kvision.augmentation.auto.policy_base import Drawn, PolicyAugmentBase, check_integer
+from kvision._ops import FastPath
+from kvision.augmentation.auto.operation_table import (
+    has_list_kernel,
+    has_list_operator,
+    list_operator,
+    steps_reference,
+    steps_vjp,
+)
+from kvision.augmentation.auto.policy_base import PolicyAugmentBase, check_integer
+from kvision.augmentation.auto.policy_parts import Drawn
+from kvision.augmentation.drawn_pass import COMPUTED_IN_FLOAT32
 from kvision.augmentation.draws import Draw, Request, integer
 from kvision.augmentation.engine import Chain, ParamItem, Record
 from kvision.augmentation.samples import per_sample
 from kvision.core.exceptions import ValueCheckError
+from kvision.geometry.transform.lists.arguments import fake_results
 
 __all__ = ["AugMix"]
 
@@ -150,11 +161,72 @@ class AugMix(PolicyAugmentBase):
 
     def _run(self, x: Tensor, drawn: Drawn) -> tuple[Tensor, Chain]:
         assert drawn.weights is not None
-        image, *of_chains = drawn.weights.to(compute_dtype(x)).unbind(1)
-        mixture = per_sample(image, x) * x
-        operations, values = (t.chunk(self.mixture_width, 1) for t in (drawn.operation, drawn.value))
-        for operation, value, weight in zip(operations, values, of_chains):
-            chain, _ = super()._run(x, Drawn(operation, value))
-            mixture = mixture + per_sample(weight, x) * chain
-        mixture = mixture.round() if x.dtype == torch.uint8 else mixture
-        return mixture.to(x.dtype), Chain()
+        execute = super()._run
+        chains = _chains_of(drawn.operation, drawn.value, drawn.weights)
+        return _mixture(x, drawn.weights, (execute(x, Drawn(*chain))[0] for chain in chains)), Chain()
+
+    def _run_list(self, images: Sequence[Tensor], drawn: Drawn) -> tuple[list[Tensor], list[Tensor]]:
+        operation, value, weights = drawn
+        assert weights is not None
+        if weights.dtype == torch.float32 and not weights.requires_grad:
+            if has_list_kernel(_mix, images, operation, value):
+                return list(_mix.kernel(images, operation, value, weights)), []
+            if has_list_operator(images, operation, value):
+                return list(_mix_operations_list(images, operation, value, weights)), []
+        return [self._run(x[None], drawn.of_sample(b))[0][0] for b, x in enumerate(images)], []
+
+
+def _chains_of(operation: Tensor, value: Tensor, weights: Tensor) -> Iterator[tuple[Tensor, Tensor]]:
+    """The operations and values of each chain."""
+    count = weights.shape[1] - 1
+    return zip(operation.chunk(count, 1), value.chunk(count, 1))
+
+
+def _mixture(x: Tensor, weights: Tensor, chains: Iterable[Tensor]) -> Tensor:
+    """Images with what chains make of them."""
+    image, *of_chains = weights.to(compute_dtype(x)).unbind(1)
+    mixture = per_sample(image, x) * x
+    for weight, chain in zip(of_chains, chains):
+        mixture = mixture + per_sample(weight, x) * chain
+    mixture = mixture.round() if x.dtype == torch.uint8 else mixture
+    return mixture.to(x.dtype)
+
+
+# --- lists of images ------------------------------------------------------------------------------------------------
+
+# Arguments: images (3, h, w); numbers (B, S) of the operations of all chains; their values (B, S); weights (B, 1 + chains) of the
+# image and of its chains.
+
+
+def _reference(images: Sequence[Tensor], *drawn: Tensor) -> list[Tensor]:
+    results = []
+    for x, operation, value, weights in zip(images, *(t.split(1) for t in drawn)):
+        chains = (steps_reference(x[None], *chain)[0] for chain in _chains_of(operation, value, weights))
+        results.append(_mixture(x[None], weights, chains)[0])
+    return results
+
+
+def _gradients(needs: Sequence[bool], grads: Sequence[Any], images: Sequence[Tensor], *drawn: Tensor) -> list[Any]:
+    of_images = None
+    if needs[0]:
+        each = zip(grads, images, *(t.split(1) for t in drawn))
+        of_images = [None if g is None else _vjp(g[None], x[None], *own)[0] for g, x, *own in each]
+    return [of_images, None, None, None]
+
+
+def _vjp(grad: Tensor, x: Tensor, operation: Tensor, value: Tensor, weights: Tensor) -> Tensor:
+    """The gradient of an image (1, 3, h, w) from that of its mixture."""
+    image, *of_chains = weights[0].to(grad.dtype).unbind()
+    gradient = grad * image
+    for weight, chain in zip(of_chains, _chains_of(operation, value, weights)):
+        gradient = gradient + steps_vjp(grad * weight, x, *chain)
+    return gradient
+
+
+_mix = FastPath("mix_operations_list", COMPUTED_IN_FLOAT32, clamps=True)
+_mix_operations_list = list_operator(
+    "mix_operations_list",
+    _reference,
+    lambda images, *_: fake_results(images, [n for x in images for n in x.shape[-2:]]),
+    _gradients,
+)

@@ -12,15 +12,17 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
-from torch import Tensor
+from torch import Tensor, is_grad_enabled
 
 from kvision import enhance
 from kvision._constants import constant
+from kvision._list_ops import ListOperator
 from kvision._modes import POLICY_OPERATION
 from kvision._ops import FastPath, behind_grad, register, vjp
+from kvision._torch_compat import in_forward_ad
 from kvision.augmentation.columns import name_columns
 from kvision.augmentation.drawn_pass import COMPUTED_IN_FLOAT32
 from kvision.augmentation.engine import Warp
@@ -28,6 +30,7 @@ from kvision.augmentation.filters import has_range
 from kvision.augmentation.maps import warp
 from kvision.augmentation.transforms import Transform, center_of, transform_matrix
 from kvision.augmentation.warp_and_color import ColorPart, ColorStep, Pass, Resampling, make_pass
+from kvision.geometry.transform.lists.arguments import fake_results
 
 
 class Operation(NamedTuple):
@@ -66,9 +69,10 @@ _COLOR = {
     "brightness": ColorStep("scale_shift", "value", 0.0, 1.0),
 }
 _FIELDS_OF_MATRIX = (("angle", 0), ("translation", 2), ("shear", 2))
-_BILINEAR = Resampling("bilinear", "zeros")
+BILINEAR = Resampling("bilinear", "zeros")
 
 _apply_operations = FastPath("apply_operations", COMPUTED_IN_FLOAT32, clamps=True)
+_listed = FastPath("apply_operations_list", COMPUTED_IN_FLOAT32, clamps=True)
 
 
 def execute_steps(
@@ -88,10 +92,10 @@ def execute_steps(
     size = (x.shape[-2], x.shape[-1])
 
     def warps(of_step: tuple[str, ...], matrix: Tensor) -> list[Warp]:
-        return [Warp(matrix, size, size, _BILINEAR)] if _moves_pixels(of_step) else []
+        return [Warp(matrix, size, size, BILINEAR)] if _moves_pixels(of_step) else []
 
     stages: list[Warp] = []
-    if _has_kernel(x, operation, value):
+    if _has_kernel(x, operation, value, _apply_operations):
         x, matrices = _apply_operations.kernel(x, operation, value)
         for of_step, matrix in zip(names, matrices.unbind()):
             stages += warps(of_step, matrix)
@@ -106,9 +110,9 @@ def execute_steps(
     return x, stages
 
 
-def _has_kernel(x: Tensor, operation: Tensor, value: Tensor) -> bool:
+def _has_kernel(x: Tensor, operation: Tensor, value: Tensor, kernel: FastPath) -> bool:
     is_usual = x.shape[1] == 3 and operation.dtype == torch.int64 and value.dtype == torch.float32
-    return is_usual and not value.requires_grad and _apply_operations.serves(x)
+    return is_usual and not value.requires_grad and kernel.serves(x)
 
 
 # --- a step with its gradient ---------------------------------------------------------------------------------------
@@ -148,12 +152,110 @@ _apply_operation = register(
     supports=_supports,
     clamps=True,
 )
-register(
+_apply_operation_backward = register(
     "apply_operation_backward",
     _reference_backward,
     fake=lambda grad, x, *_: x.new_empty(x.shape),
     casts_outputs=True,
     supports=behind_grad(_supports),
+)
+
+# --- lists of images of different sizes -----------------------------------------------------------------------------
+
+
+def execute_steps_on_list(
+    images: Sequence[Tensor], names: Sequence[tuple[str, ...]], operation: Tensor, value: Tensor
+) -> tuple[list[Tensor], list[Tensor]]:
+    """Run operations on each image (C, H, W) of a list, as :func:`execute_steps` does; gives the images, and the matrices
+    (B, 3, 3) of the steps that move pixels.
+    """
+    call: Any = None
+    if has_list_kernel(_listed, images, operation, value):
+        call = _listed.kernel
+    elif has_list_operator(images, operation, value):
+        call = _apply_operations_list
+    if call is not None:
+        *results, matrices = call(images, operation, value)
+        return results, [own for of_step, own in zip(names, matrices.unbind()) if _moves_pixels(of_step)]
+    results, each = [], []
+    for b, x in enumerate(images):
+        y, stages = execute_steps(x[None], names, operation[b : b + 1], value[b : b + 1])
+        results.append(y[0])
+        each.append([stage.matrix for stage in stages])
+    return results, [torch.cat(of_step) for of_step in zip(*each)]
+
+
+def has_list_kernel(kernel: FastPath, images: Sequence[Tensor], operation: Tensor, value: Tensor) -> bool:
+    """Whether a kernel executes steps on a list, without gradients."""
+    wants_gradients = is_grad_enabled() and any([image.requires_grad for image in images])
+    return (
+        not wants_gradients and not in_forward_ad() and _has_kernel(images[0].detach()[None], operation, value, kernel)
+    )
+
+
+def has_list_operator(images: Sequence[Tensor], operation: Tensor, value: Tensor) -> bool:
+    """Whether an operator executes steps on a list, with its gradients."""
+    return _supports_list(images, operation, value) is None and _apply_operation.is_native(images[0])
+
+
+def _supports_list(images: Sequence[Tensor], operation: Tensor, value: Tensor, *_: Any) -> str | None:
+    reason = _supports(images[0][None], operation, value)
+    return "there is no kernel for gradients of values" if reason is None and value.requires_grad else reason
+
+
+# Arguments: images (3, h, w); numbers (B, S) of the operations of S steps; their values (B, S). The matrices (S, B, 3, 3) follow
+# the results.
+
+
+def _reference_of_list(images: Sequence[Tensor], operation: Tensor, value: Tensor) -> list[Tensor]:
+    each = [steps_reference(x[None], *own) for x, *own in zip(images, operation.split(1), value.split(1))]
+    return [*(y[0] for y, _ in each), torch.cat([matrices for _, matrices in each], 1)]
+
+
+def steps_reference(x: Tensor, operation: Tensor, value: Tensor) -> tuple[Tensor, Tensor]:
+    """What steps (1, S) make of an image (1, 3, h, w), and their matrices (S, 1, 3, 3)."""
+    matrices = []
+    for step in zip(operation.unbind(1), value.unbind(1)):
+        x, matrix = _apply_operation.reference(x, *step)
+        matrices.append(matrix)
+    return x, torch.stack(matrices)
+
+
+def _fake_of_list(images: Sequence[Tensor], operation: Tensor, value: Tensor) -> list[Tensor]:
+    matrices = value.new_empty((operation.shape[1], len(images), 3, 3))
+    return [*fake_results(images, [n for x in images for n in x.shape[-2:]]), matrices]
+
+
+def _gradients_of_list(
+    needs: Sequence[bool], grads: Sequence[Any], images: Sequence[Tensor], operation: Tensor, value: Tensor
+) -> list[Any]:
+    of_images = None
+    if needs[0]:
+        each = zip(grads, images, operation.split(1), value.split(1))
+        of_images = [None if g is None else steps_vjp(g[None], x[None], *own)[0] for g, x, *own in each]
+    return [of_images, None, None]
+
+
+def steps_vjp(grad: Tensor, x: Tensor, operation: Tensor, value: Tensor) -> Tensor:
+    """The gradient of an image (1, 3, h, w) from that of what steps make of it, which run again."""
+    steps = list(zip(operation.unbind(1), value.unbind(1)))
+    before = [x]
+    for step in steps[:-1]:
+        before.append(_apply_operation(before[-1], *step)[0])
+    for y, step in zip(reversed(before), reversed(steps)):
+        grad = _apply_operation_backward(grad, y, *step)
+    return grad
+
+
+def list_operator(name: str, reference: Any, fake: Any, backward: Any, **options: Any) -> ListOperator:
+    """An operator that executes steps on lists, whose arguments begin with those above."""
+    return ListOperator(
+        name, _apply_operation, reference, fake=fake, backward=backward, supports=_supports_list, **options
+    )
+
+
+_apply_operations_list = list_operator(
+    "apply_operations_list", _reference_of_list, _fake_of_list, _gradients_of_list, non_differentiable=(-1,)
 )
 
 # --- the parts of a step --------------------------------------------------------------------------------------------
@@ -180,8 +282,8 @@ def execute_step(x: Tensor, names: tuple[str, ...], operation: Tensor, value: Te
     size = (x.shape[-2], x.shape[-1])
     if _moves_pixels(names):
         matrix = _matrix(operation, value, *size)
-        x = warp(x, matrix, size, _BILINEAR)
-        stages.append(Warp(matrix, size, size, _BILINEAR))
+        x = warp(x, matrix, size, BILINEAR)
+        stages.append(Warp(matrix, size, size, BILINEAR))
     has_colors = x.shape[1] == 3
     color = tuple(name for name in _COLOR if name in names and (has_colors or name != "color"))
     if color:

@@ -11,7 +11,8 @@ from torch import Generator, Tensor
 from kvision import _check
 from kvision._choices import MatrixMode
 from kvision._ops import FastPath
-from kvision.augmentation.auto.operation_table import OPERATIONS, execute_steps
+from kvision.augmentation.auto.operation_table import OPERATIONS, execute_steps, execute_steps_on_list
+from kvision.augmentation.auto.policy_parts import Drawn, PolicyParts
 from kvision.augmentation.columns import DrawPlan, fits_one_launch, plan_draws
 from kvision.augmentation.draws import MAX_DRAWS, Draw, Request
 from kvision.augmentation.engine import (
@@ -24,8 +25,10 @@ from kvision.augmentation.engine import (
     check_images,
     checked_items,
 )
-from kvision.augmentation.keys import check_seeds, draw_keys
+from kvision.augmentation.keys import Seed, check_seeds, draw_keys
+from kvision.constants import DataKey
 from kvision.core.exceptions import TypeCheckError, ValueCheckError
+from kvision.geometry.transform.lists.arguments import check_list, like_batch
 
 __all__ = ["PolicyAugmentBase"]
 
@@ -42,14 +45,6 @@ class Entry(NamedTuple):
     probability: float
     low: float
     high: float
-
-
-class Drawn(NamedTuple):
-    """What was drawn for a call: the number of the operation and its value, of each sample in each step."""
-
-    operation: Tensor  # (B, steps), int64; -1 for none
-    value: Tensor  # (B, steps)
-    weights: Tensor | None = None  # of a mixture (B, 1 + chains): that of the image, then those of its chains
 
 
 class PolicyAugmentBase(ImageSequential):
@@ -210,6 +205,26 @@ class PolicyAugmentBase(ImageSequential):
         drawn = self._draw(x, context) if params is None else self._redrawn(params, x)
         y, stages = self._run(x, drawn)
         return y, Record(tuple(x.shape), (), stages, drawn=drawn, size=tuple(y.shape[2:]))
+
+    def _call_list_by_passes(
+        self, keys: Sequence[DataKey], inputs: Sequence[Any], params: Any, seed: Seed, generator: Generator | None
+    ) -> tuple[list[Any], Record]:
+        y, parts = self._execute_list(inputs[0], params, self._context(seed, generator))
+        return [y], Record(parts=parts)
+
+    def _execute_list(
+        self, images: list[Tensor], params: Sequence[ParamItem] | None, context: CallContext
+    ) -> tuple[list[Tensor], PolicyParts]:
+        """The results on a list of images of any sizes, and its parts. The draws are those of a batch."""
+        images = check_list(context.op, "input", images)
+        like = like_batch(images)
+        drawn = self._draw(like, context) if params is None else self._redrawn(params, like)
+        y, matrices = self._run_list(images, drawn)
+        return y, PolicyParts(context.op, images, drawn, matrices)
+
+    def _run_list(self, images: Sequence[Tensor], drawn: Drawn) -> tuple[list[Tensor], list[Tensor]]:
+        """Execute what was drawn for the images (C, H, W) of a list; gives these, and the matrices (B, 3, 3) of steps."""
+        return execute_steps_on_list(images, self._names[: drawn.operation.shape[1]], drawn.operation, drawn.value)
 
     def _run(self, x: Tensor, drawn: Drawn) -> tuple[Tensor, Chain]:
         """Execute what was drawn; gives the images, and what labels have to follow."""

@@ -58,10 +58,11 @@ from kvision.augmentation.engine.execution import (
     replaying,
 )
 from kvision.augmentation.engine.image_sequential import ImageSequential
+from kvision.augmentation.engine.list_calls import Parts
 from kvision.augmentation.engine.patch_sequential import PatchSequential
 from kvision.augmentation.engine.record import Child, ParamItem, Record
 from kvision.augmentation.engine.sequential_base import ImageSequentialBase
-from kvision.augmentation.engine.stages import Applied, Chain, Warp
+from kvision.augmentation.engine.stages import Applied, ByMatrix, Chain, Warp
 from kvision.augmentation.engine.turns import Turn, joins
 from kvision.augmentation.engine.video_sequential import VideoSequential
 
@@ -71,6 +72,7 @@ __all__ = [
     "AugmentationBase2D",
     "AugmentationBase3D",
     "AugmentationSequential",
+    "ByMatrix",
     "CallContext",
     "Chain",
     "Child",
@@ -84,6 +86,7 @@ __all__ = [
     "Motion",
     "ParamItem",
     "Params",
+    "Parts",
     "PatchSequential",
     "Record",
     "RigidAffineAugmentationBase2D",

@@ -138,6 +138,11 @@ def _is_plain(module: Any) -> bool:
     return bool(getattr(module, "_runs_lists", False))
 
 
+def _takes_whole_lists(module: Any, context: CallContext) -> bool:
+    """Whether a module executes a list by itself, as policies do."""
+    return hasattr(module, "_execute_list") and context.owners is None
+
+
 # --- execution ------------------------------------------------------------------------------------------------------
 
 
@@ -197,11 +202,15 @@ def _run_children(
         if done is not None:
             y, parts = done
             steps.append(_Step(everything, None if parts is None else parts.done))
-        elif not is_joined and _is_plain(module):
-            inside = module._inside(inside_child(context, position))
-            y, more = _run_container(module, images, run[0].params, inside)
-            parts_inside = ChainParts(context.op, images, y, more)
-            if run[0].params is None:
+        elif not is_joined and (_is_plain(module) or _takes_whole_lists(module, context)):
+            inside, params = module._inside(inside_child(context, position)), run[0].params
+            parts_inside: Parts
+            if _is_plain(module):
+                y, more = _run_container(module, images, params, inside)
+                parts_inside = ChainParts(context.op, images, y, more)
+            else:
+                y, parts_inside = module._execute_list(images, params, inside)
+            if params is None:
                 module._keep(Record(parts=parts_inside))
             steps.append(_Step(everything, _Inside(run[0], parts_inside)))
         else:
@@ -215,7 +224,7 @@ class _Inside(NamedTuple):
     """What a container that is a child did to images."""
 
     child: Child
-    parts: ChainParts
+    parts: Parts
 
     def __call__(self, i: int) -> Done:
         module: Any = self.child.module

@@ -1,0 +1,75 @@
+"""What a call of a policy drew, and what it did to the images of a list."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from kvision.augmentation.auto.operation_table import BILINEAR
+from kvision.augmentation.engine import ByMatrix, Chain, Parts, Record, Warp
+from kvision.geometry.transform.lists.arguments import largest_shape
+
+
+class Drawn(NamedTuple):
+    """What was drawn for a call: the number of the operation and its value, of each sample in each step."""
+
+    operation: Tensor  # (B, steps), int64; -1 for none
+    value: Tensor  # (B, steps)
+    weights: Tensor | None = None  # of a mixture (B, 1 + chains): that of the image, then those of its chains
+
+    def of_sample(self, b: int) -> Drawn:
+        """What was drawn for one sample."""
+        return Drawn(*(None if t is None else t[b : b + 1] for t in self))  # type: ignore[arg-type]
+
+
+class PolicyParts(Parts):
+    """A call of a policy on a list: each image is a part, whose record is made when it is asked for.
+
+    Args:
+        op: of errors.
+        images: those of the call.
+        drawn: of all of them.
+        matrices: (B, 3, 3) of each step that moves pixels.
+    """
+
+    def __init__(self, op: str, images: Sequence[Tensor], drawn: Drawn, matrices: Sequence[Tensor]) -> None:
+        self.op, self.count = op, len(images)
+        self._shapes, self._shape = [(1, *x.shape) for x in images], largest_shape(images)
+        self._drawn, self._matrices = drawn, matrices
+
+    @property
+    def rows(self) -> list[list[int]]:  # type: ignore[override]
+        return [[b] for b in range(self.count)]
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return self._shape
+
+    @cached_property
+    def calls(self) -> list[Any]:  # type: ignore[override]
+        return [self._record(b) for b in range(self.count)]
+
+    def _record(self, b: int) -> Record:
+        """The call of one image."""
+        size = self._shapes[b][2:]
+        stages = [Warp(matrix[b : b + 1], size, size, BILINEAR) for matrix in self._matrices]
+        return Record(self._shapes[b], (), Chain(stages), drawn=self._drawn.of_sample(b), size=size)
+
+    @property
+    def _whole(self) -> Record:
+        """The call, whose stages have no sizes."""
+        return Record(self._shape, (), Chain([ByMatrix(matrix) for matrix in self._matrices]), drawn=self._drawn)
+
+    def params(self, read: Callable[[Any], Any]) -> list[Any]:
+        """The parameters of all images, which are read at once."""
+        items: list[Any] = read(self._whole)
+        for item in items:
+            item.data["forward_input_shape"] = torch.tensor(self._shapes, device="cpu")
+        return items
+
+    def matrix(self, read: Callable[[Any], Tensor | None]) -> Tensor | None:
+        return read(self._whole)

@@ -2,6 +2,7 @@
 // The step is a constant, and a thread takes 16 bytes of each channel, which may begin anywhere. Results of one channel
 // are vectors: the first thread of a sample begins before it, where its result is none.
 #include <algorithm>
+#include <iterator>
 #include <utility>
 
 #include "core/row_vectors.cuh"

@@ -4,6 +4,7 @@
 
 #include <cuda_runtime.h>
 
+#include <cmath>
 #include <type_traits>
 
 #include "border.h"
@@ -491,21 +492,28 @@ int resident_blocks(Kernel* kernel, int threads) {
   return max(each, 1) * multiprocessors();
 }
 
-// The rows of blocks of an image, half to twice `rows`, whose waves take the least time. A wave, of `resident` blocks
-// at most, takes as long as a block: its rows and the `more` that it reads beside them. With the usual rows a few
-// blocks may make a wave of their own. blocks_of(rows) are needed; where they are many waves, `rows` it is.
-template <class BlocksOf>
-int rows_in_waves(int height, int rows, int more, int64_t resident, BlocksOf blocks_of) {
-  constexpr int kManyWaves = 8;
-  if (blocks_of(rows) > kManyWaves * resident) return rows;
-  int64_t least = INT64_MAX;
-  int best = rows;
-  for (int down = int(ceil_div(height, 2 * rows)); down <= ceil_div(2 * height, rows); ++down) {
-    int const each = int(ceil_div(height, down) + 1) / 2 * 2;  // many kernels take two rows at a time
-    int64_t const time = ceil_div(blocks_of(each), resident) * (each + more);
-    if (time < least) least = time, best = each;
+// The height of strips, `fewest` to `most` rows, that takes the least time. A strip reads `taps` - 1 rows more than it
+// completes. `columns` strips side by side go through the GPU in waves of `resident` strips; a wave takes less time the
+// fewer strips it has, down to `busy` strips, which keep the GPU busy alone.
+inline int strip_height(int64_t columns, int64_t height, int taps, int64_t resident, int64_t busy, int64_t fewest,
+                        int64_t most) {
+  double best = INFINITY;
+  int64_t rows = height;
+  for (int64_t down = ceil_div(height, most); down <= ceil_div(height, fewest) && down <= 256; ++down) {
+    int64_t const each = ceil_div(height, down), strips = columns * ceil_div(height, each), rest = strips % resident;
+    double const work = double(strips - rest + (rest > 0 ? max(rest, busy) : 0)) * double(each + taps - 1);
+    if (work < best) best = work, rows = each;
   }
-  return best;
+  return int(rows);
+}
+inline int strip_height(int64_t columns, int64_t height, int taps, int64_t resident, int64_t busy) {
+  return strip_height(columns, height, taps, resident, busy, 8, 16 * taps);
+}
+// About `rows` of them, but for waves: with the usual rows a few strips may make a wave of their own.
+inline int height_near(int rows, int64_t columns, int64_t height, int taps, int64_t resident) {
+  constexpr int kManyWaves = 8;
+  if (columns * ceil_div(height, rows) > kManyWaves * resident) return rows;
+  return strip_height(columns, height, taps, resident, resident, rows / 2, 2 * rows);
 }
 
 // Splits planes into strips of 32 P columns and `rows` rows, one for each warp, x fastest: the warps of a block read
@@ -519,10 +527,10 @@ struct Strips {
         count(unsigned(planes * across * down)),
         rows(rows) {}
   KV_HD unsigned blocks(unsigned warps = 8) const { return (count + warps - 1) / warps; }
-  // Strips of about so many rows for a kernel; see rows_in_waves.
-  static Strips in_waves(int64_t planes, int64_t height, int64_t width, int rows, int more, int resident, int warps) {
-    auto const blocks_of = [&](int n) { return int64_t(Strips(planes, height, width, n).blocks(unsigned(warps))); };
-    return {planes, height, width, rows_in_waves(int(height), rows, more, resident, blocks_of)};
+  // Of about so many rows, for a kernel of blocks of `warps`; see height_near.
+  static Strips near(int rows, int64_t planes, int64_t height, int64_t width, int taps, int resident, int warps) {
+    int64_t const columns = planes * ceil_div(width, 32 * P);
+    return {planes, height, width, height_near(rows, columns, height, taps, int64_t(resident) * warps)};
   }
   // The plane of the warp's strip, the first column of the thread, the first row. False after the last strip.
   __device__ __forceinline__ bool locate(int64_t& plane, int& x, int& y) const {

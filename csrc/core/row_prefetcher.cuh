@@ -319,19 +319,5 @@ __device__ __forceinline__ void store_pixels(T* to, Compute<T> const (&v)[P], in
   }
 }
 
-// The height of strips that takes the least time. A strip reads `taps` - 1 rows more than it completes. `columns`
-// strips side by side go through the GPU in waves of `resident` strips; a wave takes less time the fewer strips it has,
-// down to `busy` strips, which keep the GPU busy alone.
-inline int strip_height(int64_t columns, int64_t height, int taps, int64_t resident, int64_t busy) {
-  double best = INFINITY;
-  int64_t rows = height;
-  for (int64_t down = ceil_div(height, 16 * taps); down <= (height + 7) / 8 && down <= 256; ++down) {
-    int64_t const each = ceil_div(height, down), strips = columns * ceil_div(height, each), rest = strips % resident;
-    double const work = double(strips - rest + (rest > 0 ? max(rest, busy) : 0)) * double(each + taps - 1);
-    if (work < best) best = work, rows = each;
-  }
-  return int(rows);
-}
-
 }  // namespace
 }  // namespace kv

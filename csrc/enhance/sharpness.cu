@@ -183,7 +183,7 @@ int launch_groups(Sharpness<uint8_t> const& p, CUstream_st* stream) {
       [&](auto bytes) {
         static int const resident = resident_blocks(run_groups<bytes.value>, kThreads);
         ColumnGroups<P> const groups(p.x.count(), p.x.height, p.x.width, kStripRows,
-                                     GroupRows<uint8_t, P, 1, bytes.value>::kReach, 2, resident);
+                                     GroupRows<uint8_t, P, 1, bytes.value>::kReach, 3, resident);
         run_groups<bytes.value><<<groups.blocks(), groups.threads, 0, stream>>>(p, groups);
       },
       p.x, p.y);

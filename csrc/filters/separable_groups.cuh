@@ -123,7 +123,7 @@ int launch_strips_or_groups(Separable<T> const& p, float divisor, CUstream_st* s
       constexpr int kBytes = decltype(bytes)::value;
       static int const resident = resident_blocks(separable_groups<T, K, P, kBytes>, kGroupThreads<K>);
       ColumnGroups<P, kGroupThreads<K>> const groups(p.x.count(), p.x.height, p.x.width, kGroupRows<K>,
-                                                     GroupRows<T, P, R, kBytes>::kReach, 2 * R, resident);
+                                                     GroupRows<T, P, R, kBytes>::kReach, K, resident);
       separable_groups<T, K, P, kBytes><<<groups.blocks(), groups.threads, 0, stream>>>(p, groups, divisor);
       return int(cudaGetLastError());
     };

@@ -362,7 +362,7 @@ template <class T>
 int dilation_3x3(Dilation<T> const& p, CUstream_st* stream) {
   with_alignment<T>(is_vectorizable<kStrip>(p.x) && is_vectorizable<kStrip>(p.y), [&](auto aligned) {
     static int const resident = resident_blocks(dilation_3x3_strip<T, aligned.value>, kThreads);
-    auto const strips = Strips4::in_waves(p.x.count(), p.x.height, p.x.width, kRows, 2, resident, kThreads / 32);
+    auto const strips = Strips4::near(kRows, p.x.count(), p.x.height, p.x.width, 3, resident, kThreads / 32);
     dilation_3x3_strip<T, aligned.value><<<strips.blocks(), kThreads, 0, stream>>>(p, strips);
   });
   return cudaGetLastError();

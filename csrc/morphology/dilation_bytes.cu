@@ -138,7 +138,7 @@ bool launch(Dilation<uint8_t> const& p, CUstream_st* stream) {
       [&](auto bytes) {
         static int const resident = resident_blocks(dilation_3x3_bytes<P, bytes.value>, 256);
         ColumnGroups<P> const groups(p.x.count(), p.x.height, p.x.width, kRows,
-                                     GroupRows<uint8_t, P, 1, bytes.value>::kReach, 2, resident);
+                                     GroupRows<uint8_t, P, 1, bytes.value>::kReach, 3, resident);
         dilation_3x3_bytes<P, bytes.value><<<groups.blocks(), groups.threads, 0, stream>>>(p, groups);
       },
       p.x, p.y);

@@ -23,19 +23,17 @@ struct ColumnGroups {
   unsigned across, down, groups, threads;  // groups of a row, row blocks of a plane, groups of all planes; of a block
   int rows, last, before_last;  // columns at which the last group of a row begins, and at most the ones before
 
-  // Fewer rows where the images would not occupy the GPU, else about so many; see rows_in_waves. The groups before the
-  // last one of a row end `reach` pixels before it: what they read on either side is in bounds, but for the first
-  // group.
-  ColumnGroups(int64_t planes, int64_t height, int64_t width, int rows, int reach, int more, int resident)
-      : ColumnGroups(planes, height, width, rows_of(planes * ceil_div(width, P), int(height), rows, more, resident),
-                     reach, Threads) {
+  // Fewer rows where the images would not occupy the GPU, else about so many (height_near), of which each result reads
+  // `taps`. The groups before the last one of a row end `reach` pixels before it: what they read on either side is in
+  // bounds, but for the first group.
+  ColumnGroups(int64_t planes, int64_t height, int64_t width, int rows, int reach, int taps, int resident)
+      : ColumnGroups(planes, height, width, rows_of(planes * ceil_div(width, P), height, rows, taps, resident), reach,
+                     Threads) {
     threads = unsigned(min(ceil_div(int64_t(groups), 32) * 32, int64_t(Threads)));
   }
-  static int rows_of(int64_t groups, int height, int most_rows, int more, int resident) {
+  static int rows_of(int64_t groups, int64_t height, int most_rows, int taps, int resident) {
     int const rows = busy_rows(most_rows, [&](int n) { return groups * ceil_div(height, n); });
-    if (rows < most_rows) return rows;
-    return rows_in_waves(height, rows, more, resident,
-                         [&](int n) { return ceil_div(groups, Threads) * ceil_div(height, n); });
+    return rows < most_rows ? rows : height_near(rows, ceil_div(groups, Threads), height, taps, resident);
   }
   KV_HD ColumnGroups(int64_t planes, int64_t height, int64_t width, int rows, int reach, int threads)
       : across(unsigned(ceil_div(width, P))),

@@ -319,7 +319,7 @@ void launch_strips(MedianBlur<T> const& p, CUstream_st* stream) {
       return launch_strips<K, N / 2>(p, stream);
   with_alignment<T>(is_vectorizable<P>(p.x) && is_vectorizable<P>(p.y), [&](auto aligned) {
     static int const resident = resident_blocks(median_strip<K, N, T, aligned.value>, kThreads);
-    auto const strips = Strips<P>::in_waves(p.x.count(), p.x.height, p.x.width, kRows, K - 1, resident, kThreads / 32);
+    auto const strips = Strips<P>::near(kRows, p.x.count(), p.x.height, p.x.width, K, resident, kThreads / 32);
     median_strip<K, N, T, aligned.value><<<strips.blocks(), kThreads, 0, stream>>>(p, strips);
   });
 }
@@ -333,7 +333,7 @@ bool launch_groups(MedianBlur<uint8_t> const& p, CUstream_st* stream) {
       [&](auto bytes) {
         static int const resident = resident_blocks(median_groups<K, N, bytes.value>, kThreads);
         ColumnGroups<P> const groups(p.x.count(), p.x.height, p.x.width, kRows,
-                                     GroupRows<uint8_t, P, R, bytes.value>::kReach, K - 1, resident);
+                                     GroupRows<uint8_t, P, R, bytes.value>::kReach, K, resident);
         median_groups<K, N, bytes.value><<<groups.blocks(), groups.threads, 0, stream>>>(p, groups);
       },
       p.x, p.y);

@@ -205,7 +205,7 @@ int crop_between(CropBetween<T> const& p, CUstream_st* stream) {
   with_row_bytes<P>(
       [&](auto bytes) {
         static int const resident = resident_blocks(crop_between_groups<T, bytes.value>, 256);
-        ColumnGroups<P> const groups(p.y.count(), p.y.height, p.y.width, kCropRows, 0, p.rows, resident);
+        ColumnGroups<P> const groups(p.y.count(), p.y.height, p.y.width, kCropRows, 0, 1 + p.rows, resident);
         crop_between_groups<T, bytes.value><<<groups.blocks(), groups.threads, 0, stream>>>(p, groups);
       },
       p.y);

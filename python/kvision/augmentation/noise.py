@@ -445,7 +445,8 @@ class PixelNoise(NamedTuple):
         zeros = [part.view(*shape) for part, shape in zip(zero.split(counts), shapes)]
         parameters = constant(((0.0, 1.0),), zero)
         if scales is not None:
-            parameters = rows_on_device(tuple((0.0, scale) for scale in scales), zero, torch.float32)
+            rows = torch.tensor([(0.0, scale) for scale in scales], device="cpu")
+            parameters = rows_on_device(rows, zero, torch.float32)
         return Operation(operator, (parameters, *self.arguments(map, form))).on_list(zeros)
 
     def symmetric(self, shape: Sequence[int], map: int = 0, scale: float = 1.0) -> Tensor:

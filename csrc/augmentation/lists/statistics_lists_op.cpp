@@ -1,8 +1,8 @@
 // Operators on lists of images of different sizes by statistics of channels or by blocks: schemas and entries, for CPU
 // and CUDA.
 #include "augmentation/lists/listed_images.h"
+#include "enhance/channels/channel_contrast.h"
 #include "enhance/clahe.h"
-#include "enhance/contrast/channel_contrast.h"
 #include "enhance/equalize.h"
 #include "enhance/jpeg_glue.h"
 #include "enhance/min_max.h"

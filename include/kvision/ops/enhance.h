@@ -9,9 +9,9 @@ namespace kvision::ops {
 
 namespace detail {
 
+inline variable_list channel_contrast_gradients(Backward const& b);
 inline variable_list equalize_clahe_gradients(Backward const& b);
 inline variable_list equalize_backward_gradients(Backward const& b);
-inline variable_list channel_contrast_gradients(Backward const& b);
 inline variable_list equalize_gradients(Backward const& b);
 inline variable_list histogram_gradients(Backward const& b);
 inline variable_list normalize_counts_gradients(Backward const& b);
@@ -28,16 +28,16 @@ inline constexpr Operator<"add_weighted", Tensor(Tensor input, Tensor other, Opt
                                                  OptionalTensor gamma, double a, double b, double c)>
     add_weighted{detail::rules::add_weighted};
 
+// --- enhance/channels/channel_contrast_op.cpp
+
+inline constexpr Operator<"channel_contrast", Tensor(Tensor input, double factor)> channel_contrast{
+    Rule{detail::channel_contrast_gradients}};
+
 // --- enhance/clahe_op.cpp
 
 inline constexpr Operator<"equalize_clahe", Tensor(Tensor input, OptionalTensor clip_limits, double clip_limit,
                                                    int64_t rows, int64_t columns, bool opencv)>
     equalize_clahe{Rule{detail::equalize_clahe_gradients, 1, false}};
-
-// --- enhance/contrast/channel_contrast_op.cpp
-
-inline constexpr Operator<"channel_contrast", Tensor(Tensor input, double factor)> channel_contrast{
-    Rule{detail::channel_contrast_gradients}};
 
 // --- enhance/equalize_op.cpp
 
@@ -77,6 +77,10 @@ inline constexpr Operator<"sharpness", Tensor(Tensor input, OptionalTensor facto
 
 namespace detail {
 
+inline variable_list channel_contrast_gradients(Backward const& b) {
+  return b.run("channel_contrast_backward", {b.grads[0], b.arguments[0], b.arguments[1]}, no_gradient);
+}
+
 inline variable_list equalize_clahe_gradients(Backward const& b) {
   return b.run("equalize_backward", {b.grads[0], b.results[0], c10::IValue()},
                Rule{equalize_backward_gradients, 0, false});
@@ -85,10 +89,6 @@ inline variable_list equalize_clahe_gradients(Backward const& b) {
 inline variable_list equalize_backward_gradients(Backward const& b) {
   return b.run("equalize_backward", {b.grads[0], b.arguments[1], b.arguments[2]},
                Rule{equalize_backward_gradients, 0, false});
-}
-
-inline variable_list channel_contrast_gradients(Backward const& b) {
-  return b.run("channel_contrast_backward", {b.grads[0], b.arguments[0], b.arguments[1]}, no_gradient);
 }
 
 inline variable_list equalize_gradients(Backward const& b) {

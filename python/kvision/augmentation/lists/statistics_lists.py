@@ -7,8 +7,8 @@ from typing import Any
 
 from torch import Tensor
 
-from kvision.enhance.channel_contrast import backward as _of_contrast
-from kvision.enhance.channel_contrast import channel_contrast
+from kvision.enhance.channels.channel_contrast import backward as _of_contrast
+from kvision.enhance.channels.channel_contrast import channel_contrast
 from kvision.enhance.clahe import _equalize_clahe as equalize_clahe
 from kvision.enhance.equalize import _equalize as equalize
 from kvision.enhance.equalize import equalize_backward

@@ -1,5 +1,5 @@
 // Contrast of channels: pixels x of a plane become (x - mean) factor + mean, clamped, around the mean of the plane; and
-// the gradient. A plane is summed, and then mapped. enhance/channel_contrast.py defines it.
+// the gradient. A plane is summed, and then mapped. enhance/channels/channel_contrast.py defines it.
 #pragma once
 
 #include "core/isa.h"

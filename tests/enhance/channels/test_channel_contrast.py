@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from kvision.enhance.channel_contrast import channel_contrast
+from kvision.enhance.channels.channel_contrast import channel_contrast
 from op_tests import OpTests
 
 

@@ -1,0 +1,1 @@
+"""Operators that change every channel by itself."""

@@ -4,7 +4,10 @@ import pytest
 import torch
 from scipy import ndimage
 
+from augmentation.test_lists import pictures, seeds_of
+from kvision import augmentation as A
 from kvision.augmentation.draws import mixed_words
+from kvision.augmentation.engine.list_runs import ListParts
 from kvision.augmentation.occlusion.objects import drop_objects
 from kvision.contrib.connected_components import connected_components
 from point_op_tests import Call, PointOpTests
@@ -68,3 +71,51 @@ def test_hash_is_that_of_draws(device):
         ranks = mixed_words(torch.arange(2) ^ mixed_words(torch.tensor(word)))
         dropped = drop_objects(x, None, torch.tensor([float(word)], device=device), torch.ones(1, device=device), 1)
         assert dropped.flatten().tolist() == [int(ranks[0] > ranks[1]), int(ranks[1] > ranks[0])]
+
+
+OBJECTS_OF = ((torch.uint8, 1), (torch.int64, 1), (torch.float32, 1), (torch.bool, 3))
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.uint8, torch.float16, torch.float64], ids=str)
+@pytest.mark.parametrize("kind, number", OBJECTS_OF, ids=str)
+def test_objects_of_the_images_of_a_list(kind, number, dtype, device):
+    """They are those of each image alone by its seed, in the images and in their masks, and equal sizes those of a batch."""
+    images, p = pictures(device, ((40, 56), (64, 31), (33, 33), (17, 20)), dtype), 0.7
+    given = [
+        ((torch.rand(number, *x.shape[1:], device=device) < 0.3) * (1 + i % 3)).to(kind) for i, x in enumerate(images)
+    ]
+    seeds, has_gradient = seeds_of(images), dtype.is_floating_point
+    for fill in (0.5, (0.1, 0.2, 0.3)):
+        drop = A.MaskDropout((1, 9), fill, p=p)
+        images = [x.clone().requires_grad_(has_gradient) for x in images]
+        y, params = drop(images, masks=given, seed=seeds), drop._params
+        assert type(drop._execution.of_list) is ListParts
+        again = drop(images, masks=given, params=params)
+        chain = A.AugmentationSequential(drop, data_keys=["input", "mask"])
+        of_chain, masks = chain(images, given, seed=seeds)
+        assert type(chain._record.parts) is ListParts
+        if has_gradient:
+            gradients = torch.autograd.grad(sum((a * a.detach()).sum() for a in y), images)
+        for b, x in enumerate(images):
+            alone = drop(x[None], masks=given[b][None], seed=seeds[b : b + 1])[0]
+            assert torch.equal(y[b], alone) and torch.equal(again[b], alone)
+            if has_gradient:
+                (gradient,) = torch.autograd.grad((alone * alone.detach()).sum(), x)
+                assert torch.allclose(gradients[b], gradient)
+            own, mask = chain(x[None], given[b][None], seed=seeds[b : b + 1])
+            assert torch.equal(of_chain[b], own[0]) and torch.equal(masks[b], mask[0])
+        equal, equal_masks = [x[:, :16, :18] for x in images], [m[:, :16, :18] for m in given]
+        batch = drop(torch.stack(equal), masks=torch.stack(equal_masks), seed=3)
+        assert all(map(torch.equal, drop(equal, masks=equal_masks, seed=3), batch))
+
+
+def test_masks_that_do_not_fit_a_list():
+    images = pictures("cpu", ((40, 56), (64, 31)))
+    drop, own = A.MaskDropout(p=1.0), [torch.ones(1, *x.shape[1:]) for x in images]
+    mixed = [own[0].byte(), own[1]]
+    assert all(torch.equal(a, torch.zeros_like(a)) for a in drop(images, masks=mixed))
+    for masks in (own[:1], [own[0], own[0]]):
+        with pytest.raises(ValueError, match="mask"):
+            drop(images, masks=masks)
+    with pytest.warns(UserWarning, match="this call has no masks"):
+        assert all(map(torch.equal, drop(images), images))

@@ -294,7 +294,7 @@ def find_sized(modules: Sequence[Any], applied: Sequence[bool], channels: int, c
         return None
     for number, module in enumerate(modules):
         moves = not all(m.keeps_positions for m in modules[:number])
-        if module.reads_labels is not None and (module.reads_labels != "boxes" or moves):
+        if module.reads_labels is not None and (moves or not (module.reads_labels == "boxes" or module.needs_masks)):
             return None  # labels are read as the call has them
     of_sizes = [own for _, own in _valid(_Reading(modules, applied, _ANY, channels, context).shapes)]
     if any(shape[:2] != (_ANY, channels) for shapes in of_sizes for shape in shapes):
@@ -386,6 +386,7 @@ class _Call:
     like: Tensor  # of the type and device of the images
     shape: tuple[int, int]  # (B, C)
     _sides: Any  # height and width of each image, or a tensor of them
+    found: Tensor | None  # (B, 1, H, W) of the largest sides, what masks gave
 
     @property
     def sides(self) -> Sequence[int]:
@@ -420,6 +421,8 @@ class _Call:
             own = None if number is None or span is None or columns is None else Columns(columns, span)
             execution = Execution(shape, own, applied=applies, is_certain=is_certain)
             execution.identity = matrix_type(self.like)
+            if self.found is not None:
+                execution.found = module._found(self.found[list(rows), :, : shape[2], : shape[3]])
             if number is not None and self.keys is not None:
                 position = self.plan.run.first + number
                 if self._has_noise:
@@ -511,9 +514,15 @@ def run_list(images: list[Tensor], children: Sequence[Child], context: CallConte
     if context.seed_of_samples is not context.seed:
         return None
     runs = runs_of(children, context.plans)
-    if len(runs) != 1 or not runs[0][1] or children[0].params is not None:
-        return None
     modules: list[Any] = [child.module for child in children]
+    if len(runs) != 1 or children[0].params is not None:
+        return None
+    if not runs[0][1]:
+        first = modules[0]
+        if not getattr(first, "needs_masks", False) or first.mixes_samples or not first._takes_masks(images, context):
+            return None
+        if context.plans is not first._plans and context.seed is not None:  # that of a child which runs by itself
+            context = context._replace(seed=context.seed + ((context.position + 1) << 32), position=0)
     names = [child.name for child in children]
     done: tuple[Any, Sequence[_Samples]] | None
     if context.is_certain or not any(decides(m) or not m.has_known_size for m in modules):
@@ -535,8 +544,8 @@ def _run_planned(
 ) -> tuple[Any, list[_Samples]]:
     """The results of a run, and its call."""
     like, shape = like_batch(images), (len(images), images[0].shape[0])
-    y, columns, keys, sides = _execute(images, modules, context, plan, like)
-    call = _Call(context.op, modules, names, context, plan, columns, keys, like.new_empty(0), shape, sides)
+    y, columns, keys, sides, found = _execute(images, modules, context, plan, like)
+    call = _Call(context.op, modules, names, context, plan, columns, keys, like.new_empty(0), shape, sides, found)
     return y, [(range(len(images)), call)]
 
 
@@ -607,9 +616,9 @@ def _kept_plan(
 
 def _execute(
     images: list[Tensor], modules: Sequence[Any], context: CallContext, plan: _ListPlan, like: Tensor
-) -> tuple[Any, Tensor | None, Keys | None, Any]:
-    """The results, the drawn columns, their keys, and the heights and widths."""
-    run, columns, drawn, keys = plan.run, None, None, None
+) -> tuple[Any, Tensor | None, Keys | None, Any, Tensor | None]:
+    """The results, the drawn columns, their keys, the heights and widths, and what masks gave."""
+    run, columns, drawn, keys, found = plan.run, None, None, None, None
     if plan.draws is not None:
         keys = context.keys(run.drawing, like) if run.drawing else Keys(torch.zeros(1, dtype=torch.int64, device="cpu"))
         context.check_seeds(keys, len(images))
@@ -638,10 +647,12 @@ def _execute(
         columns = with_derived(modules, executions, columns, run, context, partial(_sizes_before, plan.sized, images))
         columns = torch.cat([columns[:, :width], columns[:, sized:], columns[:, width:sized]], 1)
         executions = _executions(len(images), run, like, columns, keys)
+    if modules[0].needs_masks:
+        found = modules[0]._find_in_list(images, executions[0], context)
     running = Running(modules, executions, columns, context.has_labels)
     done = 0 if drawn is None else 1
     x = run_list_steps(x, run.steps[done:], running, plan.steps - done, plan.sized)
-    return x, columns, keys, sides
+    return x, columns, keys, sides, found
 
 
 def _executions(count: int, run: RunPlan, like: Tensor, columns: Tensor | None, keys: Keys | None) -> list[Execution]:

@@ -10,17 +10,23 @@ import torch
 from torch import Generator, Tensor
 from torch.compiler import is_compiling
 
+from kvision._dtype import compute_dtype
 from kvision._ops import register
 from kvision.augmentation import ranges
 from kvision.augmentation.draws import mixed_words
 from kvision.augmentation.engine import Execution, Params, check_images
 from kvision.augmentation.keys import Seed
 from kvision.augmentation.labels import masks_as_batch
+from kvision.augmentation.lists.sides import rows_on_device
+from kvision.augmentation.maps import copied_each, read_displaced_list
 from kvision.augmentation.occlusion.dropout_base import DropoutBase
 from kvision.augmentation.random_generator.mapped import MappedGenerator
 from kvision.augmentation.random_generator.occlusion import fill_maps
 from kvision.augmentation.ranges import Numbers
+from kvision.augmentation.warp_and_color import Resampling
 from kvision.contrib.connected_components import connected_components
+from kvision.geometry.transform.lists.arguments import largest_shape, like_batch
+from kvision.geometry.transform.lists.remap_list import packed
 
 
 def _reference(masks: Tensor, components: Tensor | None, words: Tensor, counts: Tensor, most: int) -> Tensor:
@@ -111,13 +117,7 @@ class MaskDropout(DropoutBase, keeps_contract=True):
         check_images("MaskDropout", x.shape)
         execution = self.__dict__["_execution"] = self._draw(x, seed, generator)
         if execution.applied:
-            if labels is None and not is_compiling():
-                warnings.warn(
-                    "MaskDropout: this call has no masks, so that nothing is dropped: pass `masks=`, or in an "
-                    "AugmentationSequential the data key 'mask'",
-                    stacklevel=2,
-                )
-            execution.found = {"dropped": self._dropped(execution, labels, x)}
+            execution.found = self._found(self._dropped(execution, labels, x))
         return self._run(x, execution, flags), execution
 
     def _find_params(self, execution: Execution) -> Params:
@@ -141,15 +141,111 @@ class MaskDropout(DropoutBase, keeps_contract=True):
 
     def _dropped(self, execution: Execution, labels: Sequence[Tensor] | None, x: Tensor) -> Tensor:
         """The pixels (B, 1, H, W) of the objects that are dropped."""
-        dropped = torch.zeros((len(x), 1, *x.shape[-2:]), dtype=torch.bool, device=x.device)
+        _warn_without(labels)
         if labels is None or execution.columns is None or 0 in labels[0].shape:
-            return dropped
-        params = self._named(execution.columns.values, execution)
-        masks, components = labels[0].to(x.device), None
+            return torch.zeros((len(x), 1, *x.shape[-2:]), dtype=torch.bool, device=x.device)
+        masks, components = _as_integers(labels[0].to(x.device)), None
         if masks.shape[1] == 1:
             components = connected_components((masks != 0).byte())
-        if masks.is_floating_point():  # by their bits: -0 is 0
-            masks = torch.where(masks == 0, 0, masks.float().view(torch.int32))
-        words, counts = (params[name].to(x.device, torch.float32) for name in ("word", "objects"))
-        hit: Tensor = drop_objects(masks.long(), components, words, counts, self.max_objects[1])
+        return self._dropped_of(masks, components, execution)
+
+    def _dropped_of(self, masks: Tensor, components: Tensor | None, execution: Execution) -> Tensor:
+        assert execution.columns is not None
+        params = self._named(execution.columns.values, execution)
+        words, counts = (params[name].to(masks.device, torch.float32) for name in ("word", "objects"))
+        hit: Tensor = drop_objects(masks, components, words, counts, self.max_objects[1])
         return hit.view(torch.bool)
+
+    @staticmethod
+    def _found(dropped: Tensor) -> Params:
+        return {"dropped": dropped}
+
+    # --- lists ---
+
+    def _takes_masks(self, images: Sequence[Tensor], context: Any) -> bool:
+        """Whether the masks of a call on a list are one of each image, of one type and number of channels, or none."""
+        masks = _masks_of(context)
+        if masks is None:
+            return True
+        if not isinstance(masks, (list, tuple)) or len(masks) != len(images) or {*map(type, masks)} != {Tensor}:
+            return False
+        kinds = {(m.dtype, m.device, m.shape[:-2]) for m in masks}
+        return len(kinds) == 1 and all(
+            m.dim() in (2, 3) and m.shape[-2:] == x.shape[-2:] for m, x in zip(masks, images)
+        )
+
+    def _find_in_list(self, images: Sequence[Tensor], execution: Execution, context: Any) -> Tensor:
+        """The pixels (B, 1, H, W) of the objects that are dropped from a list, of the largest sides."""
+        masks, (_, _, height, width) = _masks_of(context), largest_shape(images)
+        _warn_without(masks)
+        dropped = torch.zeros(len(images), 1, height, width, dtype=torch.bool, device=images[0].device)
+        if masks is not None and execution.columns is not None and 0 not in masks[0].shape:
+            padded, sides = _padded(masks, height, width, images[0].device)
+            components = None
+            if padded.shape[1] == 1:
+                first = connected_components((padded != 0).byte()) - 1  # of its pixels, counted in the padded plane
+                own = first // width * sides[:, 1, None, None, None] + first % width
+                components = torch.where(first < 0, 0, own + 1)
+            dropped = self._dropped_of(padded, components, execution)
+            if execution.chosen is not None:
+                dropped = dropped & execution.chosen[:, None, None, None]
+        execution.found = self._found(dropped)
+        return dropped
+
+    def _operates_on(self, dtype: torch.dtype) -> bool:
+        return not isinstance(self.fill, str) and not self._is_customized()
+
+    def _run_list(self, images: Sequence[Tensor], execution: Execution) -> list[Tensor]:
+        """Pixels that are dropped read beyond the image, where the fill is."""
+        like = like_batch(images)
+        self._values(like, {})  # which checks the fill
+        own = compute_dtype(like)
+        beyond = (execution.found or {})["dropped"].to(own) * _BEYOND
+        moves = [of_image[:, : x.shape[1], : x.shape[2]].expand(2, -1, -1) for of_image, x in zip(beyond, images)]
+        displacements = packed(copied_each(moves))
+        return read_displaced_list(images, displacements, Resampling("nearest", "fill", True, self.fill))
+
+
+_BEYOND = 2.0**24  # pixels
+
+
+def _masks_of(context: Any) -> Any:
+    """The first masks of a call on a list, as they were given."""
+    read = None if context.labels is None else context.labels.read("masks", ())
+    return None if read is None else read[0]
+
+
+def _warn_without(masks: Any) -> None:
+    if masks is None and not is_compiling():
+        warnings.warn(
+            "MaskDropout: this call has no masks, so that nothing is dropped: pass `masks=`, or in an "
+            "AugmentationSequential the data key 'mask'",
+            stacklevel=3,
+        )
+
+
+def _as_integers(masks: Tensor) -> Tensor:
+    """Masks as int64, those of floating point by their bits: -0 is 0."""
+    if masks.is_floating_point():
+        masks = torch.where(masks == 0, 0, masks.float().view(torch.int32))
+    return masks.long()
+
+
+def _padded(masks: Sequence[Tensor], height: int, width: int, device: torch.device) -> tuple[Tensor, Tensor]:
+    """Masks (N, h, w) or (h, w) of any type as (B, N, H, W) int64, 0 beyond each, and the sides (B, 2) of each.
+
+    They are joined, and then each pixel reads its number: as many launches whatever their number.
+    """
+    channels = masks[0].shape[0] if masks[0].dim() == 3 else 1
+    begins, rows = 0, []
+    for mask in masks:
+        rows.append((*mask.shape[-2:], begins))
+        begins += mask.numel()
+    joined = _as_integers(torch.cat([mask.flatten() for mask in masks]).to(device))
+    of_each = rows_on_device(tuple(rows), joined, torch.int64)
+    h, w, begin = (n[:, None, None, None] for n in of_each.unbind(1))
+    channel, y, x = (torch.arange(n, device=device) for n in (channels, height, width))
+    y, channel = y[:, None], channel[:, None, None]
+    is_inside = (y < h) & (x < w)
+    at = torch.where(is_inside, begin + (channel * h + y) * w + x, 0)
+    return torch.where(is_inside, joined[at], 0), of_each[:, :2]

@@ -6,6 +6,10 @@ import torch
 from augmentation.test_list_runs import is_by_passes
 from augmentation.test_lists import SMALL, pictures, seeds_of
 from kvision import augmentation as A
+from kvision._backend import current_backend
+from kvision._modes import BORDER
+from kvision.augmentation.lists.filter_lists import gaussian_blur2d_of_sides
+from kvision.filters import gaussian_blur2d
 from op_tests import assert_close
 
 
@@ -93,3 +97,24 @@ def test_a_window_fits_the_smallest_image(device):
     ):
         with pytest.raises(ValueError, match="20, 3"):
             blur(images)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=str)
+@pytest.mark.parametrize("layout", ["planar", "interleaved"])
+def test_windows_that_grow_with_the_image(dtype, layout, device):
+    """Each is that of a blur of the image alone, from one pixel to windows that no strip serves, also with gradients."""
+    sizes = ((1, 1), (20, 40), (150, 150), (350, 250), (33, 700), (90, 90), (1100, 60))
+    images = pictures(device, sizes, dtype)
+    if layout == "interleaved":
+        images = [x.permute(1, 2, 0).contiguous().permute(2, 0, 1) for x in images]
+    images = [x.requires_grad_() for x in images]
+    results = gaussian_blur2d_of_sides(images, 0.01, BORDER["reflect"])
+    weights = [torch.rand_like(x) for x in images]
+    grads = torch.autograd.grad(sum((y * w).sum() for y, w in zip(results, weights)), images)
+    for x, y, w, of_list in zip(images, results, weights, grads):
+        sigma = 0.01 * x.shape[1], 0.01 * x.shape[2]
+        alone = gaussian_blur2d(x[None], tuple(2 * int(3 * s + 0.5) + 1 for s in sigma), sigma, "reflect")[0]
+        same = layout == "planar" and current_backend() != "reference"
+        assert torch.equal(y, alone) if same else torch.allclose(y, alone, rtol=0, atol=1e-5)
+        (of_image,) = torch.autograd.grad((alone * w).sum(), x)
+        assert torch.allclose(of_list, of_image, rtol=0, atol=1e-5)

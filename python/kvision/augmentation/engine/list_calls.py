@@ -406,7 +406,8 @@ def shapes_of_images(params: Any) -> list[tuple[int, ...] | None] | None:
 
 
 def _kind(item: Any) -> Any:
-    return (getattr(item, "indices", None), getattr(item, "param", item).name)
+    indices = getattr(item, "indices", None)
+    return (None if indices is None else tuple(indices), getattr(item, "param", item).name)
 
 
 def _data(item: Any) -> Any:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Iterable, Sequence
+from typing import TypeVar
 
 import torch
 from torch import Tensor
@@ -11,6 +12,7 @@ from kvision._constants import on_device
 from kvision._ops import FastPath
 from kvision.core.pixels import to_unit
 
+Key = TypeVar("Key", bound=Hashable)
 # Rows of batches (B, C, H, W) of one size and type as one batch, by their numbers as if these were one.
 _copy_rows = FastPath(
     "copy_rows", (torch.float32, torch.float64, torch.float16, torch.bfloat16, torch.uint8, torch.int64, torch.bool)
@@ -36,10 +38,7 @@ class SampleRows:
         """The samples in groups of one size."""
         if len({tensor.shape[1:] for tensor in self._tensors}) == 1:
             return [list(samples)] if samples else []
-        groups: dict[tuple[int, ...], list[int]] = {}
-        for sample in samples:
-            groups.setdefault(self.size_of(sample), []).append(sample)
-        return list(groups.values())
+        return [[samples[i] for i in numbers] for numbers in numbers_by(map(self.size_of, samples)).values()]
 
     def size_of(self, sample: int) -> tuple[int, ...]:
         """Height and width of a sample; depth, height and width of volumes."""
@@ -71,6 +70,14 @@ class SampleRows:
         self._end += len(y)
         for unread in before.difference(self._owners):
             self._tensors[unread] = y.new_empty((0, *y.shape[1:]))  # the memory of that one is free then
+
+
+def numbers_by(keys: Iterable[Key]) -> dict[Key, list[int]]:
+    """The numbers of equal keys, in the order of the first ones."""
+    groups: dict[Key, list[int]] = {}
+    for number, key in enumerate(keys):
+        groups.setdefault(key, []).append(number)
+    return groups
 
 
 def read_rows(x: Tensor, rows: Sequence[int]) -> Tensor:

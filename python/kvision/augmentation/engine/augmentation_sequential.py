@@ -310,8 +310,8 @@ class AugmentationSequential(ImageSequential):
         image = _no_image(inputs)
         parts = self._parts_of(params, like=image)
         if parts is not None:
-            views, masks = zip(parts.views(self), parts.rows), labels.count_masks(keys, inputs)
-            each = [view._move_alone(keys, parts.inputs(rows, keys, inputs), None, masks) for view, rows in views]
+            masks = labels.count_masks(keys, inputs)
+            each = parts.each_output(self, keys, inputs, lambda view, own: view._move_alone(keys, own, None, masks))
             moved = Parts(parts.op, parts.rows, [record for _, record in each])
             return parts.outputs(keys, inputs, [outputs for outputs, _ in each]), Record(parts=moved)
         last, record = self._record, self._record_of(image, params).replaced()
@@ -389,8 +389,7 @@ class AugmentationSequential(ImageSequential):
         outputs, like = (None, _no_image(inputs)) if first is None else (inputs[first], None)
         parts = self._parts_of(params, outputs, like)
         if parts is not None:
-            views = zip(parts.views(self), parts.rows)
-            each = [view._invert_all(keys, parts.inputs(rows, keys, inputs), None) for view, rows in views]
+            each = parts.each_output(self, keys, inputs, lambda view, own: view._invert_all(keys, own, None))
             return parts.outputs(keys, inputs, each)
         videos = self._record.videos if first is None else self._video_layout(inputs[first])
         inputs, restore = as_frames(videos, keys, inputs)

@@ -20,6 +20,7 @@ from torch.compiler import is_compiling
 from kvision.augmentation.engine.execution import Execution
 from kvision.augmentation.engine.record import SomeParamItem
 from kvision.augmentation.keys import Seed, check_seeds, draw_keys, seeds_of_samples
+from kvision.augmentation.sample_rows import numbers_by, read_rows
 from kvision.constants import DataKey
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 from kvision.geometry.transform.lists.arguments import check_list
@@ -109,10 +110,19 @@ class Parts:
     def _is_shared(self, key: DataKey, value: Any) -> bool:
         return key == DataKey.CLASS and not belongs_to_images(value, self.count)
 
+    def each_output(
+        self,
+        module: Module,
+        keys: Sequence[DataKey],
+        inputs: Sequence[Any],
+        call: Callable[[Module, list[Any]], Any],
+    ) -> list[Any]:
+        """What a call of the module makes of the inputs of each part."""
+        return [call(view, self.inputs(rows, keys, inputs)) for view, rows in zip(self.views(module), self.rows)]
+
     def each_result(self, module: Module, output: Any, call: Callable[[Module, Tensor], Any]) -> Any:
         """What a call of the module makes of the result of each image."""
-        xs = [of_rows(self.op, DataKey.INPUT, output, rows, self.count) for rows in self.rows]
-        return self.each_row([call(view, x) for view, x in zip(self.views(module), xs)])
+        return self.each_row(self.each_output(module, [DataKey.INPUT], [output], lambda view, own: call(view, own[0])))
 
     def each_row(self, values: Sequence[Any]) -> list[Any]:
         """What the parts gave, as a list with an entry of each image."""
@@ -128,11 +138,8 @@ class Parts:
             return values[0]
         if not all(isinstance(value, Tensor) for value in values):
             return self.each_row(values)
-        order = torch.tensor([i for rows in self.rows for i in rows], device="cpu").argsort()
-        y = torch.cat(list(values))
-        if y.dim() == 4 and values[0].shape[1] > 1 and values[0].is_contiguous(memory_format=torch.channels_last):
-            return y.permute(0, 2, 3, 1).index_select(0, order.to(y.device)).permute(0, 3, 1, 2)
-        return y.index_select(0, order.to(y.device))
+        rows = list(chain(*self.rows))
+        return read_rows(torch.cat(list(values)), sorted(range(len(rows)), key=rows.__getitem__))
 
     def params(self, read: Callable[[Any], Any]) -> Any:
         """The parameters of the list, of what `read` says are those of a part."""
@@ -198,9 +205,7 @@ def _rows_of_parts(images: Sequence[Tensor], modules: Sequence[Any], has_seeds: 
 
     A chance may decide for a batch, as may a size that is drawn, and what is chosen for samples may give them sizes of their own.
     """
-    by_size: dict[tuple[int, ...], list[int]] = {}
-    for i, x in enumerate(images):
-        by_size.setdefault(tuple(x.shape), []).append(i)
+    by_size = numbers_by(x.shape for x in images)
     draws_for_batch = len(by_size) > 1 and any(_draws_for_batch(m) for m in modules)
     if draws_for_batch or any(_gives_samples_sizes(m, has_seeds or len(by_size) > 1) for m in modules):
         return [[i] for i in range(len(images))]

@@ -22,7 +22,7 @@ from torch import Tensor
 from torch.compiler import is_compiling
 
 from kvision._constants import on_device
-from kvision.augmentation.columns import Column, Columns, DrawPlan
+from kvision.augmentation.columns import Column, DrawPlan
 from kvision.augmentation.drawn_pass import DrawnListPass, SizedDraws
 from kvision.augmentation.draws import HEADER, MAX_DRAWS, MAX_NUMBERS, Draw, Request, are_chosen_batches, make_plan
 from kvision.augmentation.engine.call_context import CallContext
@@ -34,7 +34,7 @@ from kvision.augmentation.engine.runs import Call, RunPlan, decides, may_apply, 
 from kvision.augmentation.engine.stages import Chain, Stage
 from kvision.augmentation.keys import Keys
 from kvision.augmentation.noise import PixelNoise
-from kvision.augmentation.sample_rows import read_rows
+from kvision.augmentation.sample_rows import numbers_by, read_rows
 from kvision.augmentation.transforms import Transform
 from kvision.augmentation.warp_and_color_list import warp_and_color_list, warp_and_color_to_list
 from kvision.geometry.transform.lists.arguments import like_batch, row
@@ -405,10 +405,7 @@ class _Call:
         draws_sizes = any(m.draws_for_batch or not m.has_known_size for m in self.modules)
         if self._has_noise or draws_sizes:
             return [[i] for i in range(self.shape[0])]
-        by_size: dict[Size, list[int]] = {}
-        for i, size in enumerate(zip(self.sides[::2], self.sides[1::2])):
-            by_size.setdefault(size, []).append(i)
-        return list(by_size.values())
+        return list(numbers_by(zip(self.sides[::2], self.sides[1::2])).values())
 
     def record(self, rows: Sequence[int]) -> Record:
         """The call of images of one size, by their numbers."""
@@ -416,23 +413,19 @@ class _Call:
         columns, shape = self.columns, (len(rows), self.shape[1], *self.sides[2 * first : 2 * first + 2])
         if columns is not None and len(rows) < len(columns):
             columns = columns.index_select(0, torch.tensor(rows, device="cpu").to(columns.device))
-        executions, of_shape = [], shape
-        for module, (_, applies, is_certain, number, span, derived_from) in zip(self.modules, self.plan.run.calls):
-            own = None if number is None or span is None or columns is None else Columns(columns, span)
-            execution = Execution(shape, own, applied=applies, is_certain=is_certain)
-            execution.identity = matrix_type(self.like)
+        run, of_shape = self.plan.run, shape
+        executions = run.executions(self.like, columns, self.keys)
+        has_seeds = self.keys is not None and self.keys.seeds is not None and len(rows) == 1
+        for module, call, execution in zip(self.modules, run.calls, executions):
+            execution.shape, redraw = shape, None
             if self.found is not None:
                 execution.found = module._found(self.found[list(rows), :, : shape[2], : shape[3]])
-            if number is not None and self.keys is not None:
-                position = self.plan.run.first + number
-                if self._has_noise:
-                    execution.noise = self._noise(module, position, first)
-                elif (
-                    self.keys.seeds is not None and len(rows) == 1 and not derived_from and self.context.owners is None
-                ):
-                    execution.redraw = (self._keys_of(first), position)
-            executions.append(execution)
-            shape = module.output_shape(shape, module.flags) if applies else shape
+            if self._has_noise and call.number is not None and self.keys is not None:
+                execution.noise = self._noise(module, run.first + call.number, first)
+            elif has_seeds and execution.redraw is not None and not call.derived_from:
+                redraw = (self._keys_of(first), execution.redraw[1])
+            execution.redraw = redraw
+            shape = module.output_shape(shape, module.flags) if call.applies else shape
         children = [Child(*child, None, record) for child, record in zip(zip(self.names, self.modules), executions)]
         return record_of_run(of_shape, children, columns, self.like, self.context)
 
@@ -589,10 +582,7 @@ def _decided(modules: Sequence[Any], seeds: Tensor, context: CallContext) -> lis
 
 def grouped(columns: Sequence[Sequence[bool]]) -> list[tuple[Sequence[int], Sequence[bool]]]:
     """The numbers of images for which the same augmentations are applied, and which these are, of a column for each."""
-    groups: dict[tuple[bool, ...], list[int]] = {}
-    for i, applied in enumerate(zip(*columns)):
-        groups.setdefault(applied, []).append(i)
-    return [(samples, applied) for applied, samples in groups.items()]
+    return [(samples, applied) for applied, samples in numbers_by(zip(*columns)).items()]
 
 
 def _kept_plan(

@@ -23,6 +23,7 @@ from kvision.augmentation.engine.stages import Cells, Chain
 from kvision.augmentation.engine.turns import execute_turns
 from kvision.augmentation.inputs import parse_size
 from kvision.augmentation.keys import Seed, frame_seeds
+from kvision.augmentation.sample_rows import numbers_by
 from kvision.augmentation.warp_and_color import SAME
 from kvision.core.exceptions import ShapeError, ValueCheckError
 from kvision.core.pixels import to_unit
@@ -320,7 +321,4 @@ class PatchSequential(ImageSequential):
 
 def _groups(chains: Sequence[Sequence[Child]]) -> list[list[int]]:
     """The numbers of cells that get the same children: one batch each."""
-    groups: dict[tuple[tuple[str, int], ...], list[int]] = {}
-    for cell, chain in enumerate(chains):
-        groups.setdefault(tuple((child.name, id(child.params)) for child in chain), []).append(cell)
-    return list(groups.values())
+    return list(numbers_by(tuple((child.name, id(child.params)) for child in chain) for chain in chains).values())

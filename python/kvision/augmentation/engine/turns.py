@@ -20,7 +20,7 @@ from kvision.augmentation.engine.call_context import CallContext
 from kvision.augmentation.engine.record import Child
 from kvision.augmentation.engine.runs import execute
 from kvision.augmentation.engine.stages import Chain, MaskReading, Stage
-from kvision.augmentation.sample_rows import SampleRows, index_of, is_channels_last, read_rows
+from kvision.augmentation.sample_rows import SampleRows, index_of, is_channels_last, numbers_by, read_rows
 from kvision.augmentation.warp_and_color import SAME
 from kvision.core.exceptions import ShapeError, ValueCheckError
 
@@ -41,12 +41,9 @@ def plan_turns(sequences: Sequence[Sequence[int]]) -> list[Wanted]:
     The next turn is that of the number that the fewest samples want behind another one, of those the one that most want now. So
     sequences in ascending order take each number once.
     """
-    groups: dict[tuple[int, ...], list[int]] = {}
-    for sample, sequence in enumerate(sequences):
-        groups.setdefault(tuple(sequence), []).append(sample)
     pending = [
         ([(number, sequence[:i].count(number)) for i, number in enumerate(sequence)], samples)
-        for sequence, samples in groups.items()
+        for sequence, samples in numbers_by(map(tuple, sequences)).items()
     ]
     turns: list[Wanted] = []
     while pending := [(wanted, samples) for wanted, samples in pending if wanted]:

@@ -446,9 +446,7 @@ std::tuple<Tensor, Tensor, Tensor> warp_and_color_backward(Tensor const& grad, T
 Tensors color_list_backward(Tensors const& images_and_grads, OptionalTensor const& columns, OptionalTensor const& means,
                             std::vector<int64_t> const& plan, Numbers const& numbers) {
   char const* const op = "color_list_backward";
-  KV_CHECK(images_and_grads.size() % 2 == 0 && !images_and_grads.empty(), op, ": expected a gradient of each image");
-  auto const middle = images_and_grads.begin() + int64_t(images_and_grads.size() / 2);
-  Tensors const images(images_and_grads.begin(), middle), grads(middle, images_and_grads.end());
+  auto const [images, grads] = halves(op, images_and_grads);
   PassImages const list(op, images);
   check_image_list(op, "grads", grads);
   WarpAndColorArguments const a(op, list.like, columns, {}, {}, {}, plan, numbers);

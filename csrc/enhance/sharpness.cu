@@ -199,12 +199,11 @@ struct ContributedRow {
 // Each thread computes the gradients of four pixels and gets those of its neighbors by shuffle. Where a warp ends
 // inside the image, its end thread computes one pixel more, for which it reads one more column of x.
 template <class T, bool Aligned>
-__global__ void __launch_bounds__(kThreads, sizeof(Compute<T>) == 8 ? 1 : 3)
-    run_backward_strip(__grid_constant__ SharpnessBackward<T> const p, Strips<> const strips) {
+__device__ __forceinline__ void backward_strip(SharpnessBackward<T> const& p, Strips<> const& strips, unsigned block) {
   using F = Compute<T>;
   int64_t plane;
   int x, y0;
-  if (!strips.locate(plane, x, y0)) return;
+  if (!strips.locate(block, plane, x, y0)) return;
   int const width = int(p.x.width), height = int(p.x.height), y1 = min(y0 + int(strips.rows), height);
   Strip<1, Aligned> const strip(x, width, Border::replicate);
   Strip<0, Aligned> const strip_g(x, width, Border::replicate);
@@ -284,6 +283,48 @@ __global__ void __launch_bounds__(kThreads, sizeof(Compute<T>) == 8 ? 1 : 3)
   derivative = warp_reduce(derivative, Sum());
   unsigned const chunk = unsigned(y0) / strips.rows * strips.across + unsigned(x) / kStripWidth;
   if (threadIdx.x % 32 == 0) p.gradients[plane * p.chunks + chunk] = derivative;
+}
+
+template <class T>
+constexpr int kBackwardBlocks = sizeof(Compute<T>) == 8 ? 1 : 3;
+
+template <class T, bool Aligned>
+__global__ void __launch_bounds__(kThreads, kBackwardBlocks<T>)
+    run_backward_strip(__grid_constant__ SharpnessBackward<T> const p, Strips<> const strips) {
+  backward_strip<T, Aligned>(p, strips, blockIdx.x);
+}
+
+// --- gradients of lists ----------------------------------------------------------------------------------------------
+
+// The sample of a block, in shared memory, and the number of the block among those of the sample. Of a sample that is
+// not chosen each block copies as many rows, and there is nothing left to do: null.
+template <class T>
+__device__ __forceinline__ SharpnessBackward<T> const* gradients_of_block(SharpnessBackwardList<T> const& p,
+                                                                          unsigned& block) {
+  __shared__ __align__(16) unsigned char memory[sizeof(SharpnessBackward<T>)];
+  int const b = p.sample_of(int(blockIdx.x));
+  if (threadIdx.x == 0) new (memory) SharpnessBackward<T>(p.sample(b));
+  block = blockIdx.x - unsigned(p.first[b]);
+  __syncthreads();
+  auto const* const one = reinterpret_cast<SharpnessBackward<T> const*>(memory);
+  if (!p.copies(b)) return one;
+  int64_t const blocks = p.end_of(b) - p.first[b];
+  int const height = int(one->x.height), width = int(one->x.width);
+  for (int64_t r = one->x.rows() * block / blocks; r < one->x.rows() * (block + 1) / blocks; ++r) {
+    int64_t const plane = r / height;
+    T const* const from = one->grad.row(plane, r - plane * height);
+    T* const to = one->grad_x.row(plane, r - plane * height);
+    for (int x = int(threadIdx.x); x < width; x += int(blockDim.x)) to[x * one->grad_x.step] = from[x * one->grad.step];
+  }
+  return nullptr;
+}
+
+template <class T>
+__global__ void __launch_bounds__(kThreads, kBackwardBlocks<T>)
+    run_backward_strip_of_list(__grid_constant__ SharpnessBackwardList<T> const list) {
+  unsigned block;
+  SharpnessBackward<T> const* const p = gradients_of_block(list, block);
+  if (p) backward_strip<T, false>(*p, {p->x.count(), p->x.height, p->x.width, kStripRows}, block);
 }
 
 // --- channels-last: tiles --------------------------------------------------------------------------------------------
@@ -366,13 +407,14 @@ __global__ void __launch_bounds__(kThreads) run_of_list(__grid_constant__ Sharpn
 }
 
 template <class T>
-__global__ void __launch_bounds__(kThreads) run_backward(__grid_constant__ SharpnessBackward<T> const p) {
+__device__ __forceinline__ void backward_tile(SharpnessBackward<T> const& p, unsigned block, int64_t first,
+                                              int64_t step) {
   using F = Compute<T>;
   __shared__ Tile<F, 2> image;
   __shared__ Tile<F, 1> around;
   __shared__ Tile<F, 0> own;
-  Corner<T const> const at(p.x, blockIdx.x);
-  for (int64_t plane = blockIdx.y; plane < p.x.count(); plane += gridDim.y) {
+  Corner<T const> const at(p.x, block);
+  for (int64_t plane = first; plane < p.x.count(); plane += step) {
     F const factor = p.factor.of(plane);
     F derivative = 0;
     __syncthreads();  // the previous plane may still be in use
@@ -394,7 +436,7 @@ __global__ void __launch_bounds__(kThreads) run_backward(__grid_constant__ Sharp
       return of.around;
     });
     __syncthreads();
-    Corner<T> const to(p.grad_x, blockIdx.x);
+    Corner<T> const to(p.grad_x, block);
     for (int i = int(threadIdx.x); p.grad_x.data && i < kTileWidth * kTileHeight; i += kThreads) {
       int const x = i % kTileWidth, y = i / kTileWidth;
       if (at.has(x, y))
@@ -403,8 +445,20 @@ __global__ void __launch_bounds__(kThreads) run_backward(__grid_constant__ Sharp
     }
     if (!p.gradients) continue;
     derivative = block_sum<kThreads>(derivative);
-    if (threadIdx.x == 0) p.gradients[plane * p.chunks + blockIdx.x] = derivative;
+    if (threadIdx.x == 0) p.gradients[plane * p.chunks + block] = derivative;
   }
+}
+
+template <class T>
+__global__ void __launch_bounds__(kThreads) run_backward(__grid_constant__ SharpnessBackward<T> const p) {
+  backward_tile(p, blockIdx.x, blockIdx.y, gridDim.y);
+}
+template <class T>
+__global__ void __launch_bounds__(kThreads)
+    run_backward_of_list(__grid_constant__ SharpnessBackwardList<T> const list) {
+  unsigned block;
+  SharpnessBackward<T> const* const p = gradients_of_block(list, block);
+  if (p) backward_tile(*p, block, 0, 1);
 }
 
 template <class T>
@@ -474,8 +528,28 @@ int sharpness_backward(SharpnessBackward<T> const& p, CUstream_st* stream) {
   return cudaGetLastError();
 }
 
+template <class T>
+int sharpness_list_backward(SharpnessBackwardList<T> const& params, CUstream_st* stream) {
+  static_assert(sizeof(params) <= 32764, "more than a kernel's parameters");
+  SharpnessBackwardList<T> p = params;
+  bool const in_strips = !p.interleaved;
+  int64_t blocks = 0;
+  for (int b = 0; b < p.count; ++b) {
+    Planes<T const> const x = p.sample(b).x;
+    p.first[b] = int(blocks);
+    blocks += in_strips ? int64_t(Strips<>(x.count(), x.height, x.width, kStripRows).blocks())
+                        : ceil_div(x.width, kTileWidth) * ceil_div(x.height, kTileHeight);
+    if (blocks > INT32_MAX) return cudaErrorInvalidConfiguration;
+  }
+  p.items = int(blocks);
+  in_strips ? run_backward_strip_of_list<T><<<unsigned(blocks), kThreads, 0, stream>>>(p)
+            : run_backward_of_list<T><<<unsigned(blocks), kThreads, 0, stream>>>(p);
+  return cudaGetLastError();
+}
+
 KV_INSTANTIATE_WITH_BYTES(sharpness, Sharpness)
 KV_INSTANTIATE_WITH_BYTES(sharpness_list, SharpnessList)
 KV_INSTANTIATE(sharpness_backward, SharpnessBackward)
+KV_INSTANTIATE(sharpness_list_backward, SharpnessBackwardList)
 
 }  // namespace kv::enhance::cuda

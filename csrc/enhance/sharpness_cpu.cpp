@@ -120,8 +120,29 @@ void sharpness_backward(SharpnessBackward<T> const& p, int64_t begin, int64_t en
   });
 }
 
+// An item is some rows of all channels.
+template <class T>
+void sharpness_list_backward(SharpnessBackwardList<T> const& p, int64_t begin, int64_t end) {
+  for (int64_t item = begin; item < end; ++item) {
+    int const b = p.sample_of(int(item));
+    SharpnessBackward<T> const one = p.sample(b);
+    int64_t const height = one.x.height, rows = rows_of_item(one.x.width), from = (item - p.first[b]) * rows,
+                  to = min(from + rows, height);
+    for (int64_t plane = 0; plane < p.channels; ++plane) {
+      if (!p.copies(b)) {
+        sharpness_backward(one, plane * height + from, plane * height + to);
+        continue;
+      }
+      for (int64_t y = from; y < to; ++y)
+        for (int64_t x = 0; x < one.x.width; ++x)
+          one.grad_x.row(plane, y)[x * one.grad_x.step] = one.grad.row(plane, y)[x * one.grad.step];
+    }
+  }
+}
+
 KV_INSTANTIATE_WITH_BYTES(sharpness, Sharpness)
 KV_INSTANTIATE_WITH_BYTES(sharpness_list, SharpnessList)
 KV_INSTANTIATE(sharpness_backward, SharpnessBackward)
+KV_INSTANTIATE(sharpness_list_backward, SharpnessBackwardList)
 
 }  // namespace kv::enhance::KV_ISA

@@ -29,6 +29,13 @@ inline void check_image_list(char const* op, char const* name, Tensors const& im
   }
 }
 
+// The images of a list, and the gradients behind them.
+inline std::pair<Tensors, Tensors> halves(char const* op, Tensors const& images_and_grads) {
+  KV_CHECK(images_and_grads.size() % 2 == 0 && !images_and_grads.empty(), op, ": expected a gradient of each image");
+  auto const middle = images_and_grads.begin() + int64_t(images_and_grads.size() / 2);
+  return {Tensors(images_and_grads.begin(), middle), Tensors(middle, images_and_grads.end())};
+}
+
 inline ListedImage listed(Tensor const& x) {
   auto const sizes = x.sizes(), strides = x.strides();
   return {x.const_data_ptr(), strides[0], strides[1], strides[2], int(sizes[1]), int(sizes[2])};

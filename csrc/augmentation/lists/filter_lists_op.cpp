@@ -44,6 +44,10 @@ template <class T>
 void run([[maybe_unused]] Tensor const& like, SharpnessList<T> const& p, [[maybe_unused]] int64_t cost) {
   KV_RUN(sharpness_list, like, p, p.list.items, cost);
 }
+template <class T>
+void run([[maybe_unused]] Tensor const& like, SharpnessBackwardList<T> const& p, [[maybe_unused]] int64_t cost) {
+  KV_RUN(sharpness_list_backward, like, p, p.items, cost);
+}
 
 }  // namespace
 }  // namespace kv::enhance
@@ -190,6 +194,42 @@ Tensors sharpness_list(Tensors const& images, OptionalTensor const& chosen, Opti
   return list.kept.results;
 }
 
+// The gradients of the images. The list has the images, and behind them the gradients of the results.
+Tensors sharpness_list_backward(Tensors const& images_and_grads, OptionalTensor const& chosen,
+                                OptionalTensor const& factor, double number) {
+  constexpr char const* op = "sharpness_list_backward";
+  auto const [images, given] = halves(op, images_and_grads);
+  ListedImages const list(op, images, chosen);
+  Tensor const& like = list.like();
+  enhance::check_planes(op, like);
+  for (size_t b = 0; b < images.size(); ++b) check_like(op, "a gradient", given[b], images[b]);
+  Tensors const grads = geometry::in_layout(given, list.kept.layout);
+  dispatch_floating(op, like, [&]<class T>(Type<T>) {
+    enhance::SharpnessBackwardList<T> p{};
+    p.channels = int(list.channels());
+    p.interleaved = list.kept.interleaved();
+    auto const parameter = enhance::plane_parameter<Compute<T>>(op, "factor", like, factor, number);
+    for (size_t begin = 0; begin < images.size() && p.channels > 0; begin += enhance::kMaxListedGradients) {
+      p.count = int(std::min(images.size() - begin, size_t(enhance::kMaxListedGradients)));
+      p.items = 0;
+      for (int i = 0; i < p.count; ++i) {
+        Tensor const &x = list.images[begin + size_t(i)], &y = list.kept.results[begin + size_t(i)];
+        p.images[i] = listed(x);
+        p.grads[i] = listed(grads[begin + size_t(i)]);
+        p.results[i] = {y.mutable_data_ptr(), int(y.size(1)), int(y.size(2))};
+        p.first[i] = p.items;
+        p.items += int(ceil_div(x.size(1), rows_of_item(x.size(2))));
+      }
+      p.all.factor = parameter;
+      if (parameter.data) p.all.factor.data += int64_t(begin) * parameter.of_image;
+      p.chosen_stride = chosen && chosen->size(0) > 1 ? chosen->stride(0) : 0;
+      p.chosen = chosen ? data_ptr<float const>(*chosen) + int64_t(begin) * p.chosen_stride : nullptr;
+      enhance::run(like, p, 6 * kItemPixels * p.channels);
+    }
+  });
+  return list.kept.results;
+}
+
 }  // namespace
 
 // `chosen` (B,) float32: images whose value is 0 stay as they are. What follows are the arguments of the operators on
@@ -206,6 +246,8 @@ KV_OPERATOR(filter2d_backward_list,
 KV_OPERATOR(box_blur_list, "(Tensor[] images, Tensor? chosen, int ky, int kx, int border) -> Tensor[]")
 KV_OPERATOR(median_blur_list, "(Tensor[] images, Tensor? chosen, int ky, int kx, int border) -> Tensor[]")
 KV_OPERATOR(sharpness_list, "(Tensor[] images, Tensor? chosen, Tensor? factor, float number) -> Tensor[]")
+KV_OPERATOR(sharpness_list_backward,
+            "(Tensor[] images_and_grads, Tensor? chosen, Tensor? factor, float number) -> Tensor[]")
 KV_OPERATOR(box_blur_backward_list, "(Tensor[] grads, Tensor? chosen, int ky, int kx, int border) -> Tensor[]")
 
 }  // namespace kv::augmentation

@@ -19,6 +19,7 @@ from kvision.augmentation import transforms
 from kvision.augmentation import warp_and_color as batches
 from kvision.geometry.transform import sampling
 from kvision.geometry.transform.lists import arguments as lists
+from kvision.geometry.transform.lists.kept_sizes import register_list_backward
 from kvision.geometry.transform.lists.resize_windows_list import resize_windows_list, resize_windows_list_backward
 from kvision.geometry.transform.lists.warp_list import warp_list, warp_list_backward
 
@@ -218,32 +219,13 @@ def _colors_reference(images_and_grads, *args):
     return [batches._warp_and_color_backward.reference(*own)[0][0] for own in each]
 
 
-def _colors_backward(needs, grad_grads, images_and_grads, columns, means, plan, numbers):
-    given = [x for x in (columns, means) if x is not None]
-
-    def result(*tensors: Tensor) -> tuple[Tensor, ...]:
-        count = len(images_and_grads)
-        others = iter(tensors[count:])
-        own = [None if x is None else next(others) for x in (columns, means)]
-        return tuple(_colors_reference(tensors[:count], *own, plan, numbers))
-
-    _, vjp_fn = torch.func.vjp(result, *images_and_grads, *given)
-    of_all: Any = vjp_fn(tuple(grad_grads))
-    others = iter(of_all[len(images_and_grads) :])
-    return list(of_all[: len(images_and_grads)]), *(None if x is None else next(others) for x in (columns, means))
-
-
 # The gradients of images of a program of color steps. Arguments: the images (C, H, W), then the gradients of the results; columns,
 # means of contrast or None, plan and numbers, as those of `warp_and_color`.
-color_list_backward = ListOperator(
+color_list_backward = register_list_backward(
     "color_list_backward",
     batches._warp_and_color_backward,
     _colors_reference,
-    fake=lambda images_and_grads, *args: lists.fake_results(
-        lists.halves(images_and_grads)[0], [n for x in lists.halves(images_and_grads)[0] for n in x.shape[-2:]]
-    ),
-    backward=_colors_backward,
-    supports=lambda images_and_grads, columns, means, plan, numbers: batches._unsupported_channels(
+    lambda images_and_grads, columns, means, plan, numbers: batches._unsupported_channels(
         images_and_grads[0][None], plan
     ),
 )

@@ -56,7 +56,7 @@ _sharpness = register(
     levels=255,
     clamps=True,
 )
-register("sharpness_backward", _reference_backward, fake=_fake_backward)
+_sharpness_backward = register("sharpness_backward", _reference_backward, fake=_fake_backward)
 _composed = with_kernel_casts(_sharpened, levels=255)  # factors of single pixels
 
 

@@ -5,16 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import torch
 from torch import Tensor
 
 from kvision._list_ops import ListOperator
 from kvision._ops import Operator
 from kvision.enhance.sharpness import _sharpness as sharpness
+from kvision.enhance.sharpness import _sharpness_backward
 from kvision.filters.filter2d import _filter2d as filter2d
 from kvision.filters.filter2d import _filter2d_backward, _kernel_backward, clamped_gradients, filter2d_clamped
 from kvision.filters.smoothing import box, gaussian, median
-from kvision.geometry.transform.lists.arguments import fake_results, row, sizes
-from kvision.geometry.transform.lists.kept_sizes import register_filter
+from kvision.geometry.transform.lists.arguments import fake_results, halves, row, sizes
+from kvision.geometry.transform.lists.kept_sizes import register_filter, register_list_backward
 
 box_blur, gaussian_blur2d, median_blur = box._box_blur, gaussian._gaussian_blur2d, median._median_blur
 
@@ -62,11 +64,28 @@ register_filter(
     clamped_gradients,
 )
 register_filter("median_blur_list", median_blur, lambda b, *window: window, _of_median)
+
+
+def _of_sharpness_reference(
+    images_and_grads: Sequence[Tensor], chosen: Tensor | None, factor: Tensor | None, number: float
+) -> list[Tensor]:
+    images, grads = halves(images_and_grads)
+    each = []
+    for b, (x, g) in enumerate(zip(images, grads)):
+        of_image, _ = _sharpness_backward.reference(g[None], x[None], row(factor, b), number, True, False)
+        each.append(of_image[0] if chosen is None else torch.where(row(chosen, b) != 0, of_image[0], g))
+    return each
+
+
+_sharpness_list_backward = register_list_backward(
+    "sharpness_list_backward", _sharpness_backward, _of_sharpness_reference
+)
 register_filter(
     "sharpness_list",
     sharpness,
     lambda b, factor, number: (row(factor, b), number),
     lambda needs, grad, x, *args: sharpness.backward((*needs, False), grad, x, *args)[:2],
+    of_images=lambda grads, images, *args: _sharpness_list_backward([*images, *grads], *args),
 )
 
 

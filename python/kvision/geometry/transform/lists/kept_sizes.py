@@ -160,6 +160,41 @@ def _register(
     return _OF_LISTS[of]
 
 
+def register_list_backward(
+    name: str,
+    of: Operator,
+    reference: Callable[..., Sequence[Tensor]],
+    supports: Callable[..., str | None] = lambda *args: None,
+) -> ListOperator:
+    """The operator that gives gradients of the images of a list: it takes the images, and behind them the gradients of results.
+
+    Args:
+        name: name of the operator, `torch.ops.kvision.<name>`.
+        of: the operator on batches that has kernels where this one has.
+        reference: the definition, which is differentiated for second derivatives.
+        supports: why the kernel does not serve a list and its arguments, or None.
+    """
+
+    def fake(both: Sequence[Tensor], *args: Any) -> list[Tensor]:
+        images, _ = lists.halves(both)
+        return lists.fake_results(images, [n for x in images for n in x.shape[-2:]])
+
+    def gradients(needs: Sequence[bool], grad_grads: Sequence[Tensor], both: Sequence[Tensor], *args: Any) -> list[Any]:
+        tensors, count = args[: len(needs) - 1], len(both)
+
+        def result(*given: Tensor) -> tuple[Tensor, ...]:
+            others = iter(given[count:])
+            own = [None if x is None else next(others) for x in tensors]
+            return tuple(reference(given[:count], *own, *args[len(tensors) :]))
+
+        _, vjp_fn = torch.func.vjp(result, *both, *(x for x in tensors if x is not None))  # type: ignore[misc]
+        of_all: Any = vjp_fn(tuple(grad_grads))
+        others = iter(of_all[count:])
+        return [list(of_all[:count]), *(None if x is None else next(others) for x in tensors)]
+
+    return ListOperator(name, of, reference, fake=fake, backward=gradients, supports=supports)
+
+
 def register_filter(
     name: str,
     of: Operator,
@@ -167,6 +202,7 @@ def register_filter(
     backward: Callable[..., Sequence[Tensor | None]] | None = None,
     transposed: Operator | None = None,
     supports: Callable[..., str | None] = lambda *args: None,
+    of_images: Callable[..., Sequence[Tensor]] | None = None,
 ) -> None:
     """The operator on lists of a filter.
 
@@ -181,6 +217,8 @@ def register_filter(
             gradient, the images and the arguments; default: those of the reference.
         transposed: the operator on lists of which gives the gradients of the images at once, instead of `backward`.
         supports: why the kernel does not serve a list and these arguments, or None.
+        of_images: the gradients of all images at once, for those of the results, the images, which are chosen and the arguments,
+            where no others are wanted.
     """
 
     of_batch = backward or _of_reference(of)
@@ -196,11 +234,13 @@ def register_filter(
     ) -> list[Any]:
         needs = (needs[0], *needs[2:])  # but for `chosen`
         grads = [torch.zeros_like(x) if g is None else g for g, x in zip(grads, images)]
-        of_images = None
+        own_images: Any = None
         if transposed is not None and needs[0]:
-            of_images, needs = _OF_LISTS[transposed](grads, chosen, *args), (False, *needs[1:])
+            own_images, needs = _OF_LISTS[transposed](grads, chosen, *args), (False, *needs[1:])
+        elif of_images is not None and not any(needs[1:]):
+            own_images, needs = of_images(grads, images, chosen, *args), (False, *needs[1:])
         if not any(needs):
-            return [of_images, None, *(None,) * (len(needs) - 1)]
+            return [own_images, None, *(None,) * (len(needs) - 1)]
         each = []
         for b, (g, x) in enumerate(zip(grads, images)):
             own, *others = of_batch(needs, g[None], x[None], *of_sample(b, *args))
@@ -209,9 +249,9 @@ def register_filter(
                 own = None if own is None else torch.where(is_own, own, g[None])
                 others = [None if t is None else torch.where(is_own, t, 0.0) for t in others]
             each.append((own, *others))
-        own_images, *more = zip(*each)
-        of_images = [g[0] for g in own_images] if needs[0] else of_images
-        return [of_images, None, *(None if t[0] is None else _of_all(t, x) for t, x in zip(more, args))]
+        found, *more = zip(*each)
+        own_images = [g[0] for g in found] if needs[0] else own_images
+        return [own_images, None, *(None if t[0] is None else _of_all(t, x) for t, x in zip(more, args))]
 
     _FILTERS.add(_register(name, of, reference, gradients, supports))
 

@@ -4,6 +4,7 @@
 #include "core/block_reduce.cuh"
 #include "core/stencils/column_groups.cuh"
 #include "core/stencils/filter_list.cuh"
+#include "core/stencils/gradient_list.cuh"
 #include "sharpness.h"
 
 namespace kv::enhance::cuda {
@@ -294,36 +295,11 @@ __global__ void __launch_bounds__(kThreads, kBackwardBlocks<T>)
   backward_strip<T, Aligned>(p, strips, blockIdx.x);
 }
 
-// --- gradients of lists ----------------------------------------------------------------------------------------------
-
-// The sample of a block, in shared memory, and the number of the block among those of the sample. Of a sample that is
-// not chosen each block copies as many rows, and there is nothing left to do: null.
-template <class T>
-__device__ __forceinline__ SharpnessBackward<T> const* gradients_of_block(SharpnessBackwardList<T> const& p,
-                                                                          unsigned& block) {
-  __shared__ __align__(16) unsigned char memory[sizeof(SharpnessBackward<T>)];
-  int const b = p.sample_of(int(blockIdx.x));
-  if (threadIdx.x == 0) new (memory) SharpnessBackward<T>(p.sample(b));
-  block = blockIdx.x - unsigned(p.first[b]);
-  __syncthreads();
-  auto const* const one = reinterpret_cast<SharpnessBackward<T> const*>(memory);
-  if (!p.copies(b)) return one;
-  int64_t const blocks = p.end_of(b) - p.first[b];
-  int const height = int(one->x.height), width = int(one->x.width);
-  for (int64_t r = one->x.rows() * block / blocks; r < one->x.rows() * (block + 1) / blocks; ++r) {
-    int64_t const plane = r / height;
-    T const* const from = one->grad.row(plane, r - plane * height);
-    T* const to = one->grad_x.row(plane, r - plane * height);
-    for (int x = int(threadIdx.x); x < width; x += int(blockDim.x)) to[x * one->grad_x.step] = from[x * one->grad.step];
-  }
-  return nullptr;
-}
-
 template <class T>
 __global__ void __launch_bounds__(kThreads, kBackwardBlocks<T>)
     run_backward_strip_of_list(__grid_constant__ SharpnessBackwardList<T> const list) {
   unsigned block;
-  SharpnessBackward<T> const* const p = gradients_of_block(list, block);
+  SharpnessBackward<T> const* const p = sample_of_block(list, block);
   if (p) backward_strip<T, false>(*p, {p->x.count(), p->x.height, p->x.width, kStripRows}, block);
 }
 
@@ -457,7 +433,7 @@ template <class T>
 __global__ void __launch_bounds__(kThreads)
     run_backward_of_list(__grid_constant__ SharpnessBackwardList<T> const list) {
   unsigned block;
-  SharpnessBackward<T> const* const p = gradients_of_block(list, block);
+  SharpnessBackward<T> const* const p = sample_of_block(list, block);
   if (p) backward_tile(*p, block, 0, 1);
 }
 
@@ -529,22 +505,17 @@ int sharpness_backward(SharpnessBackward<T> const& p, CUstream_st* stream) {
 }
 
 template <class T>
-int sharpness_list_backward(SharpnessBackwardList<T> const& params, CUstream_st* stream) {
-  static_assert(sizeof(params) <= 32764, "more than a kernel's parameters");
-  SharpnessBackwardList<T> p = params;
+int sharpness_list_backward(SharpnessBackwardList<T> const& p, CUstream_st* stream) {
   bool const in_strips = !p.interleaved;
-  int64_t blocks = 0;
-  for (int b = 0; b < p.count; ++b) {
-    Planes<T const> const x = p.sample(b).x;
-    p.first[b] = int(blocks);
-    blocks += in_strips ? int64_t(Strips<>(x.count(), x.height, x.width, kStripRows).blocks())
-                        : ceil_div(x.width, kTileWidth) * ceil_div(x.height, kTileHeight);
-    if (blocks > INT32_MAX) return cudaErrorInvalidConfiguration;
-  }
-  p.items = int(blocks);
-  in_strips ? run_backward_strip_of_list<T><<<unsigned(blocks), kThreads, 0, stream>>>(p)
-            : run_backward_of_list<T><<<unsigned(blocks), kThreads, 0, stream>>>(p);
-  return cudaGetLastError();
+  auto const blocks_of = [&](SharpnessBackward<T> const& one) -> int64_t {
+    Planes<T const> const& x = one.x;
+    if (in_strips) return Strips<>(x.count(), x.height, x.width, kStripRows).blocks();
+    return ceil_div(x.width, kTileWidth) * ceil_div(x.height, kTileHeight);
+  };
+  return launch_gradients(p, blocks_of, [&](SharpnessBackwardList<T> const& list, unsigned blocks) {
+    in_strips ? run_backward_strip_of_list<T><<<blocks, kThreads, 0, stream>>>(list)
+              : run_backward_of_list<T><<<blocks, kThreads, 0, stream>>>(list);
+  });
 }
 
 KV_INSTANTIATE_WITH_BYTES(sharpness, Sharpness)

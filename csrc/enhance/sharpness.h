@@ -10,6 +10,7 @@
 #include "core/ceil_div.h"
 #include "core/isa.h"
 #include "core/stencils/filter_list.h"
+#include "core/stencils/gradient_list.h"
 #include "core/view.h"
 #include "plane_parameter.h"
 #if defined(__CUDACC__)
@@ -37,40 +38,14 @@ struct SharpnessBackward {
   PlaneParameter<Compute<T>> factor;
   Compute<T>* gradients;  // of the factor: (planes, chunks); null: not needed
   int64_t chunks;
+
+  KV_HD void select(int64_t b) {
+    if (factor.data) factor.data += b * factor.of_image;
+  }
 };
 
-// The gradients of images of different sizes. Those of images that are not chosen are copies of what is given.
-constexpr int kMaxListedGradients = kMaxListed / 2;  // tables have an image more for each sample
 template <class T>
-struct SharpnessBackwardList {
-  SharpnessBackward<T> all;  // without images
-  int count, items, channels;
-  bool interleaved;
-  float const* chosen;  // (B,), 0 for samples that are not chosen; null: all are
-  int64_t chosen_stride;
-  ListedImage images[kMaxListedGradients], grads[kMaxListedGradients];
-  ListedResult results[kMaxListedGradients];
-  int first[kMaxListedGradients];
-
-  KV_HD bool copies(int b) const { return chosen && chosen[b * chosen_stride] == 0; }
-  KV_HD int end_of(int b) const { return b + 1 < count ? first[b + 1] : items; }
-  KV_HD int sample_of(int item) const {
-    return entry_of_item(count, item, [&](int i) { return first[i]; });
-  }
-  // With a plane for each channel.
-  KV_HD SharpnessBackward<T> sample(int b) const {
-    SharpnessBackward<T> one = all;
-    if (one.factor.data) one.factor.data += b * one.factor.of_image;
-    one.x = channels_of(images_of<T>(images[b], channels));
-    one.grad = channels_of(images_of<T>(grads[b], channels));
-    one.grad_x = channels_of(images_of<T>(results[b], channels, interleaved));
-    return one;
-  }
-  template <class U>
-  static KV_HD Planes<U> channels_of(Images<U> const& x) {
-    return {x.data, x.channels, 1, x.channel_stride, 0, x.row_stride, x.height, x.width, x.step};
-  }
-};
+struct SharpnessBackwardList : GradientList<SharpnessBackward<T>, T> {};
 
 KV_KERNEL(sharpness, Sharpness)
 KV_KERNEL(sharpness_list, SharpnessList)

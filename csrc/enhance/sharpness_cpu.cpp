@@ -120,24 +120,11 @@ void sharpness_backward(SharpnessBackward<T> const& p, int64_t begin, int64_t en
   });
 }
 
-// An item is some rows of all channels.
 template <class T>
 void sharpness_list_backward(SharpnessBackwardList<T> const& p, int64_t begin, int64_t end) {
-  for (int64_t item = begin; item < end; ++item) {
-    int const b = p.sample_of(int(item));
-    SharpnessBackward<T> const one = p.sample(b);
-    int64_t const height = one.x.height, rows = rows_of_item(one.x.width), from = (item - p.first[b]) * rows,
-                  to = min(from + rows, height);
-    for (int64_t plane = 0; plane < p.channels; ++plane) {
-      if (!p.copies(b)) {
-        sharpness_backward(one, plane * height + from, plane * height + to);
-        continue;
-      }
-      for (int64_t y = from; y < to; ++y)
-        for (int64_t x = 0; x < one.x.width; ++x)
-          one.grad_x.row(plane, y)[x * one.grad_x.step] = one.grad.row(plane, y)[x * one.grad.step];
-    }
-  }
+  gradient_items(p, begin, end, [](SharpnessBackward<T> const& one, int64_t first, int64_t last) {
+    sharpness_backward(one, first, last);
+  });
 }
 
 KV_INSTANTIATE_WITH_BYTES(sharpness, Sharpness)

@@ -3,6 +3,7 @@
 #include "augmentation/corruption/layer.h"
 #include "core/launch.cuh"
 #include "core/stencils/filter_list.cuh"
+#include "core/stencils/gradient_list.cuh"
 
 namespace kv::augmentation::cuda {
 namespace {
@@ -81,6 +82,29 @@ __global__ void __launch_bounds__(kLayerThreads) layer_of_list(__grid_constant__
   for (int k = 0; k < 4; ++k) put_behind<1, false>(*one, 0, first + k * kLayerThreads + i);
 }
 
+// Four pixels a thread, in all channels, and those of adjacent threads adjacent.
+template <class T>
+__global__ void __launch_bounds__(kLayerThreads) gradients_of_list(__grid_constant__ AddLayerBackwardList<T> const p) {
+  using F = Compute<T>;
+  unsigned block;
+  AddLayerBackward<T> const* const one = sample_of_block(p, block);
+  if (!one) return;
+  int const width = int(one->x.width);
+#pragma unroll
+  for (int k = 0; k < 4; ++k) {
+    int const i = (int(block) * 4 + k) * kLayerThreads + int(threadIdx.x), row = i / width, column = i - row * width;
+    if (row >= one->x.height) return;
+    F const* const layer = one->layer_of(0) + row * one->layer_strides[2] + column * one->layer_strides[3];
+    for (int c = 0; c < int(one->channels); ++c) {
+      LayerFactors<F> const factors(*one, 0, c);
+      F const x = F(read(one->x.row(c, row)[column * one->x.step])),
+              g = F(read(one->grad.row(c, row)[column * one->grad.step]));
+      one->grad_x.row(c, row)[column * one->grad_x.step] =
+          round_to<T>(factors.vjp(x, layer[c * one->layer_strides[1]], g));
+    }
+  }
+}
+
 template <int P, bool WholeLayer, class T>
 int launch_layer(AddLayer<T> const& p, CUstream_st* stream) {
   dim3 const blocks(unsigned(ceil_div(p.x.height * (p.x.width / P), kLayerThreads)),
@@ -106,7 +130,18 @@ int add_layer_list(AddLayerList<T> const& p, CUstream_st* stream) {
       [&](AddLayerList<T> const& list, unsigned blocks) { layer_of_list<<<blocks, kLayerThreads, 0, stream>>>(list); });
 }
 
+template <class T>
+int add_layer_list_backward(AddLayerBackwardList<T> const& p, CUstream_st* stream) {
+  return launch_gradients(
+      p,
+      [](AddLayerBackward<T> const& one) { return ceil_div(one.x.height * one.x.width, int64_t(4 * kLayerThreads)); },
+      [&](AddLayerBackwardList<T> const& list, unsigned blocks) {
+        gradients_of_list<<<blocks, kLayerThreads, 0, stream>>>(list);
+      });
+}
+
 KV_INSTANTIATE_WITH_BYTES(add_layer, AddLayer)
 KV_INSTANTIATE_WITH_BYTES(add_layer_list, AddLayerList)
+KV_INSTANTIATE(add_layer_list_backward, AddLayerBackwardList)
 
 }  // namespace kv::augmentation::cuda

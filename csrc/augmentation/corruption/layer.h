@@ -4,6 +4,7 @@
 
 #include "core/isa.h"
 #include "core/stencils/filter_list.h"
+#include "core/stencils/gradient_list.h"
 #include "core/view.h"
 
 namespace kv::augmentation {
@@ -49,6 +50,15 @@ struct AddLayer {
 template <class T>
 struct AddLayerList : FilterList<AddLayer<T>, T> {};
 
+// The gradients of images, whose planes are channels in any layout.
+template <class T>
+struct AddLayerBackward : AddLayer<T> {
+  Planes<T const> grad;
+  Planes<T> grad_x;
+};
+template <class T>
+struct AddLayerBackwardList : GradientList<AddLayerBackward<T>, T> {};
+
 // The four factors of a channel of a sample.
 template <class F>
 struct LayerFactors {
@@ -60,10 +70,17 @@ struct LayerFactors {
     a = from[0], b = from[1], c = from[2] * most, d = from[3] * most;
   }
   KV_HD F behind(F x, F m) const { return within(within(x) * (a + b * m) + (c * m + d)); }
+  // The gradient of x, which is 0 where x or the result is clamped.
+  KV_HD F vjp(F x, F m, F g) const {
+    F const slope = a + b * m, y = within(x) * slope + (c * m + d);
+    return is_clamped(x) || is_clamped(y) ? F(0) : g * slope;
+  }
+  KV_HD bool is_clamped(F x) const { return x < 0 || x > most; }
   KV_HD F within(F x) const { return x < 0 ? F(0) : x > most ? most : x; }  // NaN stays
 };
 
 KV_KERNEL(add_layer, AddLayer)
 KV_KERNEL(add_layer_list, AddLayerList)
+KV_KERNEL(add_layer_list_backward, AddLayerBackwardList)
 
 }  // namespace kv::augmentation

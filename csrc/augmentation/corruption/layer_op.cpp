@@ -87,6 +87,24 @@ Tensors add_layer_list(Tensors const& images, OptionalTensor const& chosen, Tens
   return list.kept.results;
 }
 
+// The gradients of the images. The list has the images, and behind them the gradients of the results.
+Tensors add_layer_list_backward(Tensors const& images_and_grads, OptionalTensor const& chosen, Tensor const& layer,
+                                OptionalTensor const& windows, Tensor const& factors) {
+  constexpr char const* op = "add_layer_list_backward";
+  auto const [images, given] = halves(op, images_and_grads);
+  ListedImages const list(op, images, chosen);
+  LayerArguments const arguments(op, list.like(), layer, windows, factors);
+  for (Tensor const& x : images) arguments.check_size(x.size(1), x.size(2), false);
+  Tensors const grads = list.in_layout_of_images(given);
+  dispatch_floating(op, list.like(), [&]<class T>(Type<T>) {
+    AddLayerBackward<T> const all{arguments.params<T>(), {}, {}};
+    list.gradients<AddLayerBackwardList<T>>(all, grads, 6, [&](auto const& p, [[maybe_unused]] int64_t cost) {
+      KV_RUN(add_layer_list_backward, list.like(), p, p.items, cost);
+    });
+  });
+  return list.kept.results;
+}
+
 }  // namespace
 
 KV_OPERATOR(add_layer, "(Tensor images, Tensor layer, Tensor? windows, Tensor factors) -> Tensor")
@@ -94,5 +112,7 @@ KV_OPERATOR(add_layer, "(Tensor images, Tensor layer, Tensor? windows, Tensor fa
 // they are.
 KV_OPERATOR(add_layer_list,
             "(Tensor[] images, Tensor? chosen, Tensor layer, Tensor? windows, Tensor factors) -> Tensor[]")
+KV_OPERATOR(add_layer_list_backward,
+            "(Tensor[] images_and_grads, Tensor? chosen, Tensor layer, Tensor? windows, Tensor factors) -> Tensor[]")
 
 }  // namespace kv::augmentation

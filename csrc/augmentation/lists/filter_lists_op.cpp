@@ -202,30 +202,12 @@ Tensors sharpness_list_backward(Tensors const& images_and_grads, OptionalTensor 
   ListedImages const list(op, images, chosen);
   Tensor const& like = list.like();
   enhance::check_planes(op, like);
-  for (size_t b = 0; b < images.size(); ++b) check_like(op, "a gradient", given[b], images[b]);
-  Tensors const grads = geometry::in_layout(given, list.kept.layout);
+  Tensors const grads = list.in_layout_of_images(given);
   dispatch_floating(op, like, [&]<class T>(Type<T>) {
-    enhance::SharpnessBackwardList<T> p{};
-    p.channels = int(list.channels());
-    p.interleaved = list.kept.interleaved();
-    auto const parameter = enhance::plane_parameter<Compute<T>>(op, "factor", like, factor, number);
-    for (size_t begin = 0; begin < images.size() && p.channels > 0; begin += enhance::kMaxListedGradients) {
-      p.count = int(std::min(images.size() - begin, size_t(enhance::kMaxListedGradients)));
-      p.items = 0;
-      for (int i = 0; i < p.count; ++i) {
-        Tensor const &x = list.images[begin + size_t(i)], &y = list.kept.results[begin + size_t(i)];
-        p.images[i] = listed(x);
-        p.grads[i] = listed(grads[begin + size_t(i)]);
-        p.results[i] = {y.mutable_data_ptr(), int(y.size(1)), int(y.size(2))};
-        p.first[i] = p.items;
-        p.items += int(ceil_div(x.size(1), rows_of_item(x.size(2))));
-      }
-      p.all.factor = parameter;
-      if (parameter.data) p.all.factor.data += int64_t(begin) * parameter.of_image;
-      p.chosen_stride = chosen && chosen->size(0) > 1 ? chosen->stride(0) : 0;
-      p.chosen = chosen ? data_ptr<float const>(*chosen) + int64_t(begin) * p.chosen_stride : nullptr;
-      enhance::run(like, p, 6 * kItemPixels * p.channels);
-    }
+    enhance::SharpnessBackward<T> all{};
+    all.factor = enhance::plane_parameter<Compute<T>>(op, "factor", like, factor, number);
+    list.gradients<enhance::SharpnessBackwardList<T>>(
+        all, grads, 6, [&](auto const& p, int64_t cost) { enhance::run(like, p, cost); });
   });
   return list.kept.results;
 }

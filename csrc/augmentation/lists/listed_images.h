@@ -4,6 +4,7 @@
 #include "augmentation/noise_glue.h"
 #include "color/lists/program_list_glue.h"
 #include "core/stencils/filter_list.h"
+#include "core/stencils/gradient_list.h"
 #include "geometry/transform/lists/list_glue.h"
 
 namespace kv::augmentation {
@@ -22,6 +23,11 @@ struct ListedImages {
         chosen(chosen),
         images(dense ? color::in_pixel_rows(images, kept.layout) : geometry::in_layout(images, kept.layout)) {
     check_chosen(op, chosen, like());
+  }
+  // The gradients of the results in the layout of the images.
+  Tensors in_layout_of_images(Tensors const& grads) const {
+    for (size_t b = 0; b < images.size(); ++b) check_like(kept.op, "a gradient", grads[b], images[b]);
+    return geometry::in_layout(grads, kept.layout);
   }
   // Stands for a batch in checks.
   Tensor const& like() const { return kept.largest; }
@@ -52,6 +58,31 @@ struct ListedImages {
     for_each_table<List>(
         all, [&](geometry::Size) { return channels(); },
         [&](List& list) { run(list, cost_of_pixel * like().size(2) * like().size(3)); });
+  }
+  // Runs the gradient of a function, `all` without images, on tables of images and of `grads`, which have the layout:
+  // run(table, cost of an item).
+  template <class List, class Gradient, class Run>
+  void gradients(Gradient const& all, Tensors const& grads, int64_t cost_of_pixel, Run run) const {
+    List p{};
+    p.channels = int(channels());
+    p.interleaved = kept.interleaved();
+    p.chosen_stride = chosen && chosen->size(0) > 1 ? chosen->stride(0) : 0;
+    for (size_t begin = 0; begin < images.size() && p.channels > 0; begin += kMaxListedGradients) {
+      p.count = int(std::min(images.size() - begin, size_t(kMaxListedGradients)));
+      p.items = 0;
+      for (int i = 0; i < p.count; ++i) {
+        Tensor const &x = images[begin + size_t(i)], &y = kept.results[begin + size_t(i)];
+        p.images[i] = listed(x);
+        p.grads[i] = listed(grads[begin + size_t(i)]);
+        p.results[i] = {y.mutable_data_ptr(), int(y.size(1)), int(y.size(2))};
+        p.first[i] = p.items;
+        p.items += int(ceil_div(x.size(1), rows_of_item(x.size(2))));
+      }
+      p.all = all;
+      p.all.select(int64_t(begin));
+      p.chosen = chosen ? data_ptr<float const>(*chosen) + int64_t(begin) * p.chosen_stride : nullptr;
+      run(p, cost_of_pixel * kItemPixels * p.channels);
+    }
   }
   // The same where items_of(size) says how many items an image has: run(table).
   template <class List, class Filter, class ItemsOf, class Run>

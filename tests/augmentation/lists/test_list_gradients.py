@@ -1,4 +1,4 @@
-"""Gradients of colors, sharpness, noise and erasing on lists of images, in the launches of a batch: those of each image alone."""
+"""Gradients of colors, layers, noise and others on lists of images, in the launches of a batch: those of each image alone."""
 
 from __future__ import annotations
 
@@ -19,6 +19,10 @@ PROGRAMS = {
     "order": lambda: A.ColorJitter(0.3, 0.3, 0.3, 0.1, p=1.0),
     "grayscale": lambda: A.RandomGrayscale(p=1.0),
     "sharpness": lambda: A.RandomSharpness((0.2, 3.0), p=0.8),
+    "illumination": lambda: A.RandomLinearIllumination(p=0.8),
+    "fog": lambda: A.RandomFog(p=1.0),
+    "frost": lambda: A.RandomFrost(torch.rand(2, 3, 70, 140), p=0.8),
+    "plasma": lambda: A.RandomPlasmaShadow(p=1.0),
     "factors of noise": lambda: A.MultiplicativeNoise((0.5, 1.5), True, True, p=0.8),
     "speckle": lambda: A.SpeckleNoise((0.3, 0.5), p=1.0),
     "clamped noise": lambda: A.CommonCorruption("gaussian_noise", 5),
@@ -75,7 +79,7 @@ def test_gradients_of_factors_that_differ_by_the_number_of_the_image(device):
 
 
 @pytest.mark.derivatives
-@pytest.mark.parametrize("name", ["channels", "one mean", "jitter", "sharpness"])
+@pytest.mark.parametrize("name", ["channels", "one mean", "jitter", "sharpness", "fog"])
 def test_second_derivatives(name, device):
     augment, images = PROGRAMS[name](), pictures(device, SIZES[:2], torch.float64)
     images = [x[:, :3, :4].clone().requires_grad_() for x in images]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -11,8 +12,8 @@ from kvision._clamp import clamp
 from kvision._constants import constant
 from kvision._dtype import compute_dtype
 from kvision._ops import match_layout, register
-from kvision.geometry.transform.lists.arguments import row
-from kvision.geometry.transform.lists.kept_sizes import Operation, register_filter
+from kvision.geometry.transform.lists.arguments import halves, row
+from kvision.geometry.transform.lists.kept_sizes import Operation, register_filter, register_list_backward
 
 
 def _reference(images: Tensor, layer: Tensor, windows: Tensor | None, factors: Tensor) -> Tensor:
@@ -51,7 +52,23 @@ def _of_sample(b: int, layer: Tensor, windows: Tensor | None, factors: Tensor) -
     return layer, windows, row(factors, b)
 
 
-register_filter("add_layer_list", add_layer, _of_sample)
+def _gradients_reference(images_and_grads: Sequence[Tensor], chosen: Tensor | None, *args: Any) -> list[Tensor]:
+    each = []
+    for b, (x, g) in enumerate(zip(*halves(images_and_grads))):
+        of_image: Any = add_layer.differentiate_reference(
+            (True, False, False, False), g[None], x[None], *_of_sample(b, *args)
+        )[0]
+        each.append(of_image[0] if chosen is None else torch.where(row(chosen, b) != 0, of_image[0], g))
+    return each
+
+
+_add_layer_list_backward = register_list_backward("add_layer_list_backward", add_layer, _gradients_reference)
+register_filter(
+    "add_layer_list",
+    add_layer,
+    _of_sample,
+    of_images=lambda grads, images, *args: _add_layer_list_backward([*images, *grads], *args),
+)
 
 
 def layered(layer: Tensor, *factors: Tensor | float, windows: Tensor | None = None) -> Operation:

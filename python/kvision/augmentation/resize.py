@@ -124,7 +124,7 @@ class Resize(GeometricAugmentationBase2D):
         return bool(self.flags["antialias"]) and not self._is_customized()
 
     def _run_list(self, images: Sequence[Tensor], execution: Execution) -> Any:
-        return _antialiased_list(images, *self._sizes_of_list(images), self.flags)
+        return _antialiased_list(images, self._param_generator.sizes_for(sizes(images)), True, self.flags)
 
 
 def _antialiased_list(images: Sequence[Tensor], sizes: Sequence[int], is_list: bool, flags: dict[str, Any]) -> Any:

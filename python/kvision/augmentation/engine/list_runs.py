@@ -167,19 +167,22 @@ class Sized:
         self.count = sum(map(len, self.inputs))
         self._sizes_after: dict[Size, Callable[[Size], Size]] = {}
 
-    def numbers(self, has_draws: bool = True, then: Sequence[int] = ()) -> SizedNumbers | NumbersOfEach | None:
+    def numbers(
+        self, has_draws: bool = True, has_inputs: bool = True, then: Sequence[int] = ()
+    ) -> SizedNumbers | NumbersOfEach | None:
         """What depends on the size, as numbers of each image: those of the draws, then the inputs, and height and width behind
         augmentations by their numbers; None for none.
         """
-        if not self.count and not then and not (has_draws and (self.draws or self.may_be_too_small)):
+        count = self.count if has_inputs else 0
+        if not count and not then and not (has_draws and (self.draws or self.may_be_too_small)):
             return None
-        read = partial(self._numbers, has_draws, then)
+        read = partial(self._numbers, has_draws, has_inputs, then)
         return SizedNumbers.of(read) or NumbersOfEach(read)
 
-    def _numbers(self, has_draws: bool, then: Sequence[int], size: Size) -> list[float]:
+    def _numbers(self, has_draws: bool, has_inputs: bool, then: Sequence[int], size: Size) -> list[float]:
         draws = self.reading.draws(size) if has_draws else []
         numbers = [n for i in self.draws for n in draws[i].numbers] if has_draws else []
-        for formulas, inputs in zip(self.reading.chains(size), self.inputs):
+        for formulas, inputs in zip(self.reading.chains(size), self.inputs if has_inputs else ()):
             numbers += [formulas[i].inputs[k] for i, k in inputs]
         return [*numbers, *self._size_after(then, size)] if then else numbers
 
@@ -265,8 +268,10 @@ def _make_plan(
     steps = count_list_steps(run.steps, sized.own if has_one_size else None)
     if context.output.memory_format is not None and not has_one_size:
         return None
-    numbers, draws, listed = sized.numbers(), run.draws[0] if run.draws else None, list(sized.draws)
-    if sized.count:
+    has_inputs = any(isinstance(step, Joined) for step in run.steps[:steps])  # others read sizes themselves
+    numbers = sized.numbers(has_inputs=has_inputs)
+    draws, listed = run.draws[0] if run.draws else None, list(sized.draws)
+    if sized.count and has_inputs:
         listed += [_count_draws(draws) + i for i in range(sized.count)]
         draws = _with_numbers(draws, sized.count)
     if draws is not None and not draws.plan[0]:  # nothing but a chance, which the host knows
@@ -281,7 +286,7 @@ def _make_plan(
     if isinstance(first, Joined) and has_list_first:
         changes = sized.changes(first.geometric)
         if draws is not None or changes:
-            of_pass = sized.numbers(draws is not None, first.geometric) if changes else numbers
+            of_pass = sized.numbers(draws is not None, then=first.geometric) if changes else numbers
             of_each = of_pass.of_each if isinstance(of_pass, NumbersOfEach) else _linear(of_pass)
             own = draws or _NO_DRAWS
             drawn = DrawnListPass(own, listed, of_each, changes, first.image_pass, like.shape, like.dtype)

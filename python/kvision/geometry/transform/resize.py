@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from functools import lru_cache
 from typing import Any, get_args
 
 import torch
@@ -312,8 +314,7 @@ def _resize_list(op, images, size, interpolation, align_corners, side, antialias
     is_side = type(size) is not tuple and _check.is_int(size)
     if is_side:
         size = _check.ints(op, "size", size, 1)[0]
-        sides = lists.sizes(images)
-        sizes = [n for h, w in zip(sides[::2], sides[1::2]) for n in side_to_size(size, h, w, side)]
+        sizes = side_to_sizes(size, lists.sizes(images), side)
     else:
         sizes = list(_check.ints(op, "size", size, 2))
     if antialias == "gaussian":
@@ -347,6 +348,15 @@ def side_to_size(size: int, h: int, w: int, side: ResizeSide) -> tuple[int, int]
     if side == "long":
         return least(size, most(1, height)), least(size, most(1, width))
     return (size, most(1, width)) if side == "vert" else (most(1, height), size)
+
+
+_known_size = lru_cache(4096)(side_to_size)
+
+
+def side_to_sizes(size: int, sides: Sequence[int], side: ResizeSide) -> list[int]:
+    """The same of a list, from height and width of each image."""
+    own = _known_size if {*map(type, sides)} == {int} else side_to_size  # symbols are not kept
+    return [n for h, w in zip(sides[::2], sides[1::2]) for n in own(size, h, w, side)]
 
 
 def _blurred(x: Tensor, *factors: float) -> Tensor:

@@ -11,11 +11,13 @@ from augmentation.container.test_list_launches import calls
 from augmentation.test_lists import KEYS, assert_as_alone, assert_same, comparison, pictures, seeds_of
 from benchmarks.timing import launches
 from kvision import augmentation as A
+from op_tests import assert_close
 
 SIZES = ((16, 20), (24, 31), (16, 20), (27, 27), (40, 18))
 
 SIZING = {
     "shorter side": lambda: (A.SmallestMaxSize(21),),
+    "few pixels": lambda: (A.SmallestMaxSize(2),),
     "longer side": lambda: (A.LongestMaxSize(25, p=0.6),),
     "antialiased": lambda: (A.SmallestMaxSize(11, antialias=True), A.RandomHorizontalFlip()),
     "a side": lambda: (A.Resize(17, side="vert", resample="nearest"), A.ColorJitter(0.2, 0.2, p=0.7)),
@@ -161,3 +163,17 @@ def test_equal_sizes_are_decided_for_as_one(device):
             assert len({y.shape for y in augment(images, seed=seed)}) == 1
             batch = augment(torch.stack(images), seed=seed)
             assert all(torch.equal(a, b) for a, b in zip(augment(images, seed=seed), batch))
+
+
+@pytest.mark.tracing
+@pytest.mark.parametrize("kind", [partial(A.Pad, 2), partial(A.Transpose, p=1.0)], ids=["pad", "transpose"])
+def test_sizes_that_are_linear_functions_have_graphs(kind, device):
+    augment = kind()
+
+    def call(*images):
+        return sum(y.square().sum() for y in augment(list(images), seed=3))
+
+    images = [x.requires_grad_() for x in pictures(device, SIZES[:2])]
+    compiled = torch.compile(call, fullgraph=True, backend="aot_eager")
+    for a, b in zip(*(torch.autograd.grad(f(*images), images) for f in (call, compiled))):
+        assert_close(a, b)

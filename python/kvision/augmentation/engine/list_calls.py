@@ -27,7 +27,7 @@ from kvision.geometry.transform.lists.arguments import check_list
 
 _SHAPE = "forward_input_shape"
 Sizes = tuple[tuple[int, ...], tuple[int, ...]]
-SIZES: Sizes = ((40037, 53003), (91009, 67003))  # of images that show what depends on their size; larger than any crop
+SIZES: Sizes = ((40037, 53003), (91009, 23003))  # of images that show what depends on their size; larger than any crop
 Module = TypeVar("Module")
 
 

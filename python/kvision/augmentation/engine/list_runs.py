@@ -93,7 +93,11 @@ class NumbersOfEach:
     """Numbers that are read for the size of each image, once for those of many images."""
 
     def __init__(self, read: Callable[[Size], Sequence[float]]) -> None:
-        self._at_size = lru_cache(_KNOWN)(read)
+        self._read = read
+
+    @cached_property
+    def _at_size(self) -> Callable[[Size], Sequence[float]]:  # made in calls, as a graph cannot make it
+        return lru_cache(_KNOWN)(self._read)
 
     def of_each(self, images: Sequence[Tensor]) -> Tensor:
         """The numbers (B, N) for the size of each image, float64 on the CPU."""
@@ -193,7 +197,7 @@ class Sized:
     def sizes_after(self, numbers: Sequence[int], images: Sequence[Tensor]) -> list[int]:
         """Height and width of each image behind augmentations by their numbers."""
         if is_compiling():
-            return [n for x in images for n in self._size_after(numbers, x.shape)]
+            return [n for x in images for n in self._size_after(numbers, x.shape[-2:])]
         known = self._sizes_after.setdefault(tuple(numbers), lru_cache(_KNOWN)(partial(self._size_after, numbers)))
         return [n for x in images for n in known(x.shape[-2:])]
 

@@ -68,6 +68,16 @@ def test_other_channels_and_long_lists(device):
         assert_close(gradient, x.detach() - 1)
 
 
+@pytest.mark.parametrize("name", ["jitter", "sharpness", "illumination", "speckle", "erasing"])
+def test_lists_longer_than_a_table(name, device):
+    images = [torch.rand(3, 5 + i % 5, 6 + i % 3, device=device, requires_grad=True) for i in range(520)]
+    augment, seeds = PROGRAMS[name](), seeds_of(images)
+    found = torch.autograd.grad([y.square().sum() for y in augment(images, seed=seeds)], images)
+    for b in (0, 255, 256, 257, 511, 512, 519):
+        (alone,) = torch.autograd.grad(augment(images[b][None], seed=seeds[b : b + 1]).square().sum(), images[b])
+        assert_close(found[b], alone, 1e-4, 1e-4)
+
+
 def test_gradients_of_factors_that_differ_by_the_number_of_the_image(device):
     """A list with one seed draws by the numbers of its images, as a batch does."""
     images = [(0.2 + 0.3 * x).requires_grad_() for x in pictures(device, SIZES)]

@@ -244,7 +244,11 @@ int rows_per_strip(int64_t columns, int64_t height, int64_t blocks_resident) {
 }
 template <int K, int P, class T>
 int rows_per_strip(Planes<T> const& y, int64_t blocks_resident) {
-  return rows_per_strip<K, P>(y.count() * ceil_div(y.width, 32 * P), y.height, blocks_resident);
+  int64_t const columns = y.count() * ceil_div(y.width, 32 * P);
+  int const rows = rows_per_strip<K, P>(columns, y.height, blocks_resident);
+  // Half types and bytes are limited by instructions.
+  bool const in_waves = K <= 7 && sizeof(T) < 4;
+  return in_waves ? height_near(rows, columns, y.height, K, multiprocessors() * blocks_resident * kWarps) : rows;
 }
 
 template <class T, int K, bool ReflectBackward>

@@ -228,15 +228,18 @@ int launch(Resize<T> const& p, CUstream_st* stream) {
   // Long strips read fewer rows twice, but there must be enough strips to fill the device.
   int rows = 32;
   while (rows > 4 && p.y.count() * ceil_div(width, 32 * C) * ceil_div(height, rows) < 3000) rows /= 2;
-  Strips<C> const strips(p.y.count(), height, width, rows);
   OctaveWeights<Doubles, Taps> weights;
   write_weights(weights.at[0], Doubles, Taps, p.rows);
   auto const run = [&](auto aligned) {
+    auto const launch = [&](auto* kernel, int taps, auto... more) {
+      static int const resident = resident_blocks(kernel, 32 * kWarps);
+      auto const strips = Strips<C>::near(rows, p.y.count(), height, width, taps, resident, kWarps);
+      kernel<<<strips.blocks(kWarps), 32 * kWarps, 0, stream>>>(p.x, p.y, weights, strips, more..., aligned);
+    };
     if constexpr (Doubles)
-      doubled<T, Taps>
-          <<<strips.blocks(kWarps), 32 * kWarps, 0, stream>>>(p.x, p.y, weights, strips, p.minuend, aligned);
+      launch(doubled<T, Taps, decltype(aligned)>, 1 + Taps / 2 * 2, p.minuend);
     else
-      halve<T, Taps><<<strips.blocks(kWarps), 32 * kWarps, 0, stream>>>(p.x, p.y, weights, strips, aligned);
+      launch(halve<T, Taps, decltype(aligned)>, Taps / 2);
   };
   if constexpr (kServesAnyAlignment<Doubles, Taps>)
     with_alignment<T>(aligned, run);

@@ -311,9 +311,9 @@ int launch_ties(Job const& job, CUstream_st* stream) {
 
 template <class T>
 int dilation(Dilation<T> const& p, CUstream_st* stream) {
-  if constexpr (sizeof(T) == 1) {
-    if (is_3x3(p.window) && dilation_3x3_of_bytes(p, stream)) return cudaGetLastError();
-  } else
+  if constexpr (sizeof(T) <= 2)
+    if (is_3x3(p.window) && dilation_by_groups(p, stream)) return cudaGetLastError();
+  if constexpr (sizeof(T) > 1)
     // Special case, H200: 4.2 (erosion3) to 7.7 (dilate cross3) times as fast as tiles.
     if (p.x.step == 1 && is_3x3(p.window)) return dilation_3x3(p, stream);
   if constexpr (sizeof(T) < 8)

@@ -1,7 +1,7 @@
-// Shared by the CUDA files of dilation: dilation_3x3.cu has windows of 3 x 3 pixels, dilation_backward_strips.cu the
-// gradient of flat windows of 7 x 7 and 15 x 15, dilation_backward.cu that of other windows that fit into shared
-// memory, and dilation.cu everything else. Whether a window is flat is known on the device only, so each block finds
-// out.
+// Shared by the CUDA files of dilation: dilation_3x3.cu and dilation_groups.cu have windows of 3 x 3 pixels,
+// dilation_backward_strips.cu the gradient of flat windows of 7 x 7 and 15 x 15, dilation_backward.cu that of other
+// windows that fit into shared memory, and dilation.cu everything else. Whether a window is flat is known on the device
+// only, so each block finds out.
 #pragma once
 
 #include "core/launch.cuh"
@@ -32,8 +32,9 @@ __device__ __forceinline__ double tie_gradient(double g, double count) { return 
 // Windows for which is_3x3 holds, over planar images.
 template <class T>
 int dilation_3x3(Dilation<T> const& p, CUstream_st* stream);
-// False where the images are narrower than a group of columns, or channels last.
-bool dilation_3x3_of_bytes(Dilation<uint8_t> const& p, CUstream_st* stream);
+// The same of bytes and half types; false where the images are narrower than a group of columns, or channels last.
+template <class T>
+bool dilation_by_groups(Dilation<T> const& p, CUstream_st* stream);
 template <class T>
 int dilation_3x3_backward(DilationBackward<T> const& p, CUstream_st* stream);
 // Windows for which needs_no_workspace holds, over planar images; without the flat ones if `flat_left_out`.

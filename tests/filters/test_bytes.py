@@ -31,7 +31,7 @@ def cross(x: Tensor) -> Tensor:
 
 # Calls that go down groups of eight columns, the kernel, and how many pixels on either side the window reaches.
 GROUPS: dict[str, tuple[Call, str, int]] = {
-    "dilation": (dilation, "dilation_3x3_bytes", 1),
+    "dilation": (dilation, "dilation_3x3_groups", 1),
     "median 3": (partial(filters.median_blur, kernel_size=3), "median_groups", 1),
     "gauss 5": (partial(filters.gaussian_blur2d, kernel_size=5, sigma=(1.5, 1.5)), "separable_groups", 2),
     "box 3": (partial(filters.box_blur, kernel_size=3), "separable_groups", 1),

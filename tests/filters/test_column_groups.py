@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from kvision import filters, geometry
+from kvision import filters, geometry, morphology
 
 pytestmark = pytest.mark.native
 
@@ -59,3 +59,35 @@ def test_which_images_take_groups_of_columns_near_half(name, device):
             x = torch.ones(1, 2, *size, device=device).to(dtype)
             taken = any("near_half_groups" in launched for launched in kernels_of(call, x))
             assert taken == (near_half and dtype not in OTHERS), (dtype, size)
+
+
+@pytest.mark.parametrize("operator", ["dilation", "erosion"])
+def test_which_images_take_groups_of_columns_of_dilation(operator, device):
+    if device.type != "cuda":
+        pytest.skip("needs --device cuda")
+    element = torch.ones(3, 3, device=device)
+    for dtype in (*HALVES, *OTHERS):
+        for width in (15, 16, 33, 48):
+            x = torch.ones(1, 2, 12, width, device=device).to(dtype)
+            names = kernels_of(lambda x: getattr(morphology, operator)(x, element.to(x.dtype)), x)
+            taken = any("dilation_3x3_groups" in launched for launched in names)
+            assert taken == (dtype in HALVES and width >= 16), (dtype, width)
+
+
+@pytest.mark.parametrize("operator", ["dilation", "erosion"])
+@pytest.mark.parametrize("dtype", HALVES, ids=str)
+def test_dilation_of_rows_that_begin_anywhere(operator, dtype, device):
+    elements = (torch.ones(3, 3), torch.tensor([[0.0, 1, 0], [1, 1, 1], [0, 1, 0]]))
+    for height, width in ((37, 513), (12, 33), (26, 264), (9, 500), (5, 19)):
+        count = 6 * height * width
+        memory = torch.randn(count + 7, generator=torch.Generator().manual_seed(width)).to(dtype)
+        memory[width] = torch.nan
+        for first in (0, 1, 2, 4, 7):  # at the beginning of the memory, and at its end
+            x = memory[first : first + count].view(2, 3, height, width)
+            on_device = memory.to(device)[first : first + count].view_as(x)
+            for element in elements:
+                for options in ({}, {"border_type": "constant", "border_value": 0.3}):
+                    call = getattr(morphology, operator)
+                    y = call(on_device, element.to(device, dtype), **options).cpu()
+                    expected = call(x, element.to(dtype), **options)
+                    assert torch.equal(y.nan_to_num(9), expected.nan_to_num(9)), (height, width, first, options)

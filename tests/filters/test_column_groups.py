@@ -44,6 +44,28 @@ def test_which_images_take_groups_of_columns(name, device):
             assert taken == (dtype in HALVES and width >= fewest and width % 4 != 0), (dtype, width)
 
 
+def test_which_images_take_groups_of_columns_of_sobel(device):
+    if device.type != "cuda":
+        pytest.skip("needs --device cuda")
+    for dtype in (*HALVES, *OTHERS):
+        for width in (15, 17, 36, 48):
+            x = torch.ones(1, 2, 12, width, device=device).to(dtype)
+            taken = any("sobel_groups" in launched for launched in kernels_of(filters.sobel, x))
+            assert taken == (dtype in HALVES and width >= 16 and width % 8 != 0), (dtype, width)
+
+
+@pytest.mark.parametrize("dtype", HALVES, ids=str)
+def test_sobel_of_rows_that_begin_anywhere(dtype, device):
+    for height, width in ((37, 513), (12, 33), (26, 260), (1, 19), (2, 17), (9, 500)):
+        count = 6 * height * width
+        memory = torch.rand(count + 7, generator=torch.Generator().manual_seed(width)).to(dtype)
+        for first in (0, 1, 2, 4, 7):  # at the beginning of the memory, and at its end
+            x = memory[first : first + count].view(2, 3, height, width)
+            y = filters.sobel(memory.to(device)[first : first + count].view_as(x)).cpu().float()
+            close = 1e-3 if dtype == torch.float16 else 8e-3
+            torch.testing.assert_close(y, filters.sobel(x).float(), rtol=close, atol=close)
+
+
 @pytest.mark.parametrize("name", ["pyrdown", "antialiased"])
 def test_which_images_take_groups_of_columns_near_half(name, device):
     if device.type != "cuda":

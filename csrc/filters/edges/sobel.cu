@@ -1,6 +1,7 @@
 // Sobel on CUDA. Each warp goes down a strip of 128 columns with its rows in registers, so each pixel is read from
-// device memory once. Channels-last images take a plain kernel with one thread for each element.
-#include "core/launch.cuh"
+// device memory once; half types whose rows are no vectors are read by groups of columns. Channels-last images take a
+// plain kernel with one thread for each element.
+#include "core/stencils/column_groups.cuh"
 #include "sobel.h"
 
 namespace kv::filters::cuda {
@@ -10,16 +11,29 @@ static_assert(kSobelBorder == Border::replicate,
               "RowCursor, weight_gradient's extension and the plain kernels replicate");
 
 // Rows of a strip, chosen by measurements on an H200. The backward pass has a longer setup and reads more rows twice.
-// Unaligned rows of half types are limited by instructions: where there are enough strips, higher ones read fewer rows
-// twice.
-constexpr int kRows = 8, kHighRows = 24, kBackwardRows = 32;
-constexpr int64_t kEnoughStrips = 3000;
+constexpr int kRows = 8, kGroupRows = 24, kBackwardRows = 32;
+constexpr int kGroupThreads = 128;
 
 // Blocks on a multiprocessor; 0: any. Unaligned rows need more warps than the compiler would choose.
 template <class T, bool Aligned>
 constexpr int kBlocks = Aligned || sizeof(T) == 8 ? 0
                         : sizeof(T) == 4          ? 4
                                                   : 3;
+
+// Of P pixels, from three rows of them and their neighbors; `scale` is that of squares.
+template <int P, class F>
+__device__ __forceinline__ void magnitudes(F const (&a)[P + 2], F const (&b)[P + 2], F const (&c)[P + 2], F scale,
+                                           F eps, F (&result)[P]) {
+  SobelColumn<F> columns[P + 2];
+#pragma unroll
+  for (int i = 0; i < P + 2; ++i) columns[i] = sobel_column(a[i], b[i], c[i]);
+#pragma unroll
+  for (int i = 0; i < P; ++i) {
+    F gx, gy;
+    sobel_gradients(columns[i], columns[i + 1], columns[i + 2], F(1), gx, gy);
+    result[i] = fast_sqrt((gx * gx + gy * gy) * scale + eps);
+  }
+}
 
 template <class T, bool Aligned>
 __global__ void __launch_bounds__(256, kBlocks<T, Aligned>) sobel_strip(Sobel<T> p, Strips<kPixels<T>> strips) {
@@ -51,21 +65,46 @@ __global__ void __launch_bounds__(256, kBlocks<T, Aligned>) sobel_strip(Sobel<T>
     } else {
       strip.spread(strip.fetch(rows.next()), c);
     }
-    SobelColumn<F> columns[P + 2];
-#pragma unroll
-    for (int i = 0; i < P + 2; ++i) columns[i] = sobel_column(a[i], b[i], c[i]);
     F result[P];
-#pragma unroll
-    for (int i = 0; i < P; ++i) {
-      F gx, gy;
-      sobel_gradients(columns[i], columns[i + 1], columns[i + 2], F(1), gx, gy);
-      result[i] = fast_sqrt((gx * gx + gy * gy) * scale + p.eps);
-    }
+    magnitudes(a, b, c, scale, p.eps, result);
     strip.store_in_stripes(out, result);
     out += p.y.row_stride;
 #pragma unroll
     for (int i = 0; i < P + 2; ++i) a[i] = b[i], b[i] = c[i];
   }
+}
+
+template <class T>
+__global__ void __launch_bounds__(kGroupThreads, 5)
+    sobel_groups(__grid_constant__ Sobel<T> const p,
+                 __grid_constant__ ColumnGroups<kPixels<T>, kGroupThreads> const groups) {
+  constexpr int P = kPixels<T>;
+  int64_t plane;
+  int x, y0;
+  groups.locate(plane, x, y0);
+  using Rows = GroupRows<T, P, 1>;
+  Rows const rows(p.x, plane, x, kSobelBorder);
+  GroupStore<T, P, 0> out(p.y, plane, x, y0);
+  int const height = int(p.x.height), y1 = min(y0 + groups.rows, height), last = min(y1, height - 1);
+  auto const fetch = [&](int y) { return rows.fetch(clamp(y, 0, last)); };
+  float const scale = p.scale * p.scale;
+  float v[3][P + 2];
+  typename Rows::Fetched ahead[3];
+  rows.spread(fetch(y0 - 1), v[0]);
+  rows.spread(fetch(y0), v[1]);
+#pragma unroll
+  for (int k = 0; k < 3; ++k) ahead[k] = fetch(y0 + 1 + k);
+#pragma unroll 1
+  for (int y = y0; y < y1; y += 3)
+#pragma unroll
+    for (int k = 0; k < 3; ++k) {
+      if (k > 0 && y + k >= y1) break;
+      rows.spread(ahead[k], v[(k + 2) % 3]);
+      ahead[k] = fetch(y + k + 4);
+      float result[P];
+      magnitudes(v[k], v[(k + 1) % 3], v[(k + 2) % 3], scale, p.eps, result);
+      out.put(result);
+    }
 }
 
 // u = g gx / magnitude and v = g gy / magnitude of one pixel.
@@ -228,14 +267,19 @@ __global__ void sobel_backward_any(SobelBackward<T> p) {
 template <class T>
 int sobel(Sobel<T> const& p, CUstream_st* stream) {
   constexpr int P = kPixels<T>;
+  bool const aligned = is_vectorizable<P>(p.x) && is_vectorizable<P>(p.y);
+  if constexpr (sizeof(T) == 2)
+    if (!aligned && supports_groups<P, 1>(p.x)) {
+      static int const resident = resident_blocks(sobel_groups<T>, kGroupThreads);
+      ColumnGroups<P, kGroupThreads> const groups(p.x.count(), p.x.height, p.x.width, kGroupRows,
+                                                  GroupRows<T, P, 1>::kReach, 3, resident);
+      sobel_groups<T><<<groups.blocks(), groups.threads, 0, stream>>>(p, groups);
+      return cudaGetLastError();
+    }
   // Special case, H200: 2.8 to 5.7 times as fast as a thread an element.
   if (p.x.step == 1)
-    with_alignment<T>(is_vectorizable<P>(p.x) && is_vectorizable<P>(p.y), [&](auto aligned) {
-      Strips<P> strips(p.x.count(), p.x.height, p.x.width, kRows);
-      if (sizeof(T) == 2 && !aligned.value) {
-        Strips<P> const high(p.x.count(), p.x.height, p.x.width, kHighRows);
-        if (high.count >= kEnoughStrips) strips = high;
-      }
+    with_alignment<T>(aligned, [&](auto aligned) {
+      Strips<P> const strips(p.x.count(), p.x.height, p.x.width, kRows);
       sobel_strip<T, aligned.value><<<strips.blocks(), 256, 0, stream>>>(p, strips);
     });
   else

@@ -113,3 +113,27 @@ def test_dilation_of_rows_that_begin_anywhere(operator, dtype, device):
                     y = call(on_device, element.to(device, dtype), **options).cpu()
                     expected = call(x, element.to(dtype), **options)
                     assert torch.equal(y.nan_to_num(9), expected.nan_to_num(9)), (height, width, first, options)
+
+
+@pytest.mark.parametrize(("size", "fewest"), [(3, 16), (5, 8)])
+def test_which_images_take_groups_of_columns_of_medians(size, fewest, device):
+    if device.type != "cuda":
+        pytest.skip("needs --device cuda")
+    for dtype in (*HALVES, *OTHERS):
+        for width in (fewest - 1, fewest, 33, 48):
+            x = torch.ones(1, 2, 12, width, device=device).to(dtype)
+            names = kernels_of(lambda x: filters.median_blur(x, size), x)
+            taken = any("median_groups" in launched for launched in names)
+            assert taken == (dtype in HALVES and width >= fewest), (dtype, width)
+
+
+@pytest.mark.parametrize("size", [3, 5])
+@pytest.mark.parametrize("dtype", HALVES, ids=str)
+def test_medians_of_rows_that_begin_anywhere(size, dtype, device):
+    for height, width in ((37, 513), (12, 33), (26, 264), (9, 500), (5, 19)):
+        count = 6 * height * width
+        memory = torch.randn(count + 7, generator=torch.Generator().manual_seed(width)).to(dtype)
+        for first in (0, 1, 2, 4, 7):  # at the beginning of the memory, and at its end
+            x = memory[first : first + count].view(2, 3, height, width)
+            y = filters.median_blur(memory.to(device)[first : first + count].view_as(x), size).cpu()
+            assert torch.equal(y, filters.median_blur(x, size)), (height, width, first)

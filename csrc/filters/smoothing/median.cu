@@ -1,7 +1,7 @@
 // Median blur on CUDA. For 3x3 and 5x5 windows threads go down the image with the sorted rows of their pixels in
-// registers and compute two output rows a step. Half types and bytes are sorted two pixels at a time. Bytes are read by
-// groups of columns and sorted as they are stored, other types by strips. Other windows, and channels-last images, take
-// a plain kernel with one thread for each element.
+// registers and compute two output rows a step. Half types and bytes are sorted two pixels at a time, as they are
+// stored, and read by groups of columns; narrow images and other types by strips. Other windows, and channels-last
+// images, take a plain kernel with one thread for each element.
 #include "core/stencils/column_groups.cuh"
 #include "core/stencils/filter_list.cuh"
 #include "core/stencils/pairs.cuh"
@@ -81,16 +81,16 @@ struct StripRows {
   }
 };
 
-template <int K, int N, int Bytes>
-struct GroupedBytes {
+template <int K, int N, class T, int Bytes>
+struct GroupedRows {
   static constexpr int P = 2 * N, R = K / 2;
-  using V = Value<uint8_t>;
-  using Rows = GroupRows<uint8_t, P, R, Bytes>;
+  using V = Value<T>;
+  using Rows = GroupRows<T, P, R, Bytes>;
   using Fetched = typename Rows::Fetched;
   Rows rows;
-  GroupStore<uint8_t, P, Bytes> out;
+  GroupStore<T, P, Bytes> out;
 
-  __device__ __forceinline__ GroupedBytes(MedianBlur<uint8_t> const& p, int64_t plane, int x, int y0)
+  __device__ __forceinline__ GroupedRows(MedianBlur<T> const& p, int64_t plane, int x, int y0)
       : rows(p.x, plane, x, p.border), out(p.y, plane, x, y0) {}
   __device__ __forceinline__ Fetched fetch(int y) const { return rows.fetch(y); }
   __device__ __forceinline__ void spread(Fetched const& fetched, V (&values)[N + 2 * R]) const {
@@ -99,7 +99,10 @@ struct GroupedBytes {
 #pragma unroll
     for (int i = 0; i < N + 2 * R; ++i) {
       int const a = i + Rows::kSkip, b = a + N;
-      values[i] = V(__byte_perm(packed[a / 4], packed[b / 4], a % 4 | (4 + b % 4) << 8) & 0x00ff00ffu);
+      if constexpr (sizeof(T) == 1)
+        values[i] = V(__byte_perm(packed[a / 4], packed[b / 4], a % 4 | (4 + b % 4) << 8) & 0x00ff00ffu);
+      else
+        values[i] = V(__byte_perm(packed[a / 2], packed[b / 2], (a % 2 ? 0x32 : 0x10) | (b % 2 ? 0x7600 : 0x5400)));
     }
     // The border, of the first pixels of the first pairs and the second ones of the last.
     V filled[N + 2 * R];
@@ -113,15 +116,24 @@ struct GroupedBytes {
     }
   }
   __device__ __forceinline__ void store(V const (&values)[N]) {
-    uint32_t words[P / 4];
+    constexpr int kWords = P * int(sizeof(T)) / 4;
+    uint32_t words[kWords];
+    if constexpr (sizeof(T) == 1) {
 #pragma unroll
-    for (int i = 0; i < N; i += 2)  // pixels i, i + 1, i + N, i + 1 + N
-      words[i / 2] = __byte_perm(values[i].bits, values[i + 1].bits, 0x6240);
-    if constexpr (N == 4) {
-      uint32_t const low = words[0], high = words[1];
-      words[0] = __byte_perm(low, high, 0x5410), words[1] = __byte_perm(low, high, 0x7632);
+      for (int i = 0; i < N; i += 2)  // pixels i, i + 1, i + N, i + 1 + N
+        words[i / 2] = __byte_perm(values[i].bits, values[i + 1].bits, 0x6240);
+      if constexpr (N == 4) {
+        uint32_t const low = words[0], high = words[1];
+        words[0] = __byte_perm(low, high, 0x5410), words[1] = __byte_perm(low, high, 0x7632);
+      }
+    } else {
+#pragma unroll
+      for (int i = 0; i < N; i += 2) {
+        words[i / 2] = __byte_perm(values[i].bits, values[i + 1].bits, 0x5410);
+        words[(i + N) / 2] = __byte_perm(values[i].bits, values[i + 1].bits, 0x7632);
+      }
     }
-    Vector<uint8_t, P> pixels;
+    Vector<T, P> pixels;
     __builtin_memcpy(&pixels, words, sizeof(pixels));
     out.put(pixels);
   }
@@ -223,14 +235,14 @@ __global__ void __launch_bounds__(kThreads, kBlocks<T, K>)
   StripRows<K, N, T, Aligned> rows(p, plane, x, y0);
   median_rows<K, N, T>(rows, int(p.x.height), p.border, y0, min(y0 + int(strips.rows), int(p.x.height)));
 }
-template <int K, int N, int Bytes>
-__global__ void __launch_bounds__(kThreads, kBlocks<uint8_t, K>)
-    median_groups(__grid_constant__ MedianBlur<uint8_t> const p, __grid_constant__ ColumnGroups<2 * N> const groups) {
+template <int K, int N, class T, int Bytes>
+__global__ void __launch_bounds__(kThreads, kBlocks<T, K>)
+    median_groups(__grid_constant__ MedianBlur<T> const p, __grid_constant__ ColumnGroups<2 * N> const groups) {
   int64_t plane;
   int x, y0;
   groups.locate(plane, x, y0);
-  GroupedBytes<K, N, Bytes> rows(p, plane, x, y0);
-  median_rows<K, N, uint8_t>(rows, int(p.x.height), p.border, y0, min(y0 + groups.rows, int(p.x.height)));
+  GroupedRows<K, N, T, Bytes> rows(p, plane, x, y0);
+  median_rows<K, N, T>(rows, int(p.x.height), p.border, y0, min(y0 + groups.rows, int(p.x.height)));
 }
 
 // The same of lists.
@@ -247,18 +259,18 @@ __global__ void __launch_bounds__(kThreads, kBlocks<T, K>)
   StripRows<K, N, T, false> rows(*p, plane, x, y0);
   median_rows<K, N, T>(rows, int(p->x.height), p->border, y0, min(y0 + int(strips.rows), int(p->x.height)));
 }
-template <int K, int N>
-__global__ void __launch_bounds__(kThreads, kBlocks<uint8_t, K>)
-    median_groups_of_list(__grid_constant__ MedianBlurList<uint8_t> const list) {
+template <int K, int N, class T>
+__global__ void __launch_bounds__(kThreads, kBlocks<T, K>)
+    median_groups_of_list(__grid_constant__ MedianBlurList<T> const list) {
   unsigned block;
-  MedianBlur<uint8_t> const* const p = sample_of_block(list, block);
+  MedianBlur<T> const* const p = sample_of_block(list, block);
   if (!p) return;
   ColumnGroups<2 * N> const groups(p->x.count(), p->x.height, p->x.width, kRows, K / 2, kThreads);
   int64_t plane;
   int x, y0;
   groups.locate(block, plane, x, y0);
-  GroupedBytes<K, N, 0> rows(*p, plane, x, y0);
-  median_rows<K, N, uint8_t>(rows, int(p->x.height), p->border, y0, min(y0 + groups.rows, int(p->x.height)));
+  GroupedRows<K, N, T, 0> rows(*p, plane, x, y0);
+  median_rows<K, N, T>(rows, int(p->x.height), p->border, y0, min(y0 + groups.rows, int(p->x.height)));
 }
 
 template <class T>
@@ -324,17 +336,17 @@ void launch_strips(MedianBlur<T> const& p, CUstream_st* stream) {
   });
 }
 
-// Special case, H200: 1.5 to 2.4 (3 x 3) and 1.4 to 1.6 (5 x 5) times as fast as strips.
-template <int K, int N>
-bool launch_groups(MedianBlur<uint8_t> const& p, CUstream_st* stream) {
+// Special case, H200: 1.5 to 2.4 (3 x 3) and 1.4 to 1.6 (5 x 5) times as fast as strips, bytes.
+template <int K, int N, class T>
+bool launch_groups(MedianBlur<T> const& p, CUstream_st* stream) {
   constexpr int P = 2 * N, R = K / 2;
   if (p.ky != K || p.kx != K || !supports_groups<P, R>(p.x)) return false;
   with_row_bytes<P>(
       [&](auto bytes) {
-        static int const resident = resident_blocks(median_groups<K, N, bytes.value>, kThreads);
-        ColumnGroups<P> const groups(p.x.count(), p.x.height, p.x.width, kRows,
-                                     GroupRows<uint8_t, P, R, bytes.value>::kReach, K, resident);
-        median_groups<K, N, bytes.value><<<groups.blocks(), groups.threads, 0, stream>>>(p, groups);
+        static int const resident = resident_blocks(median_groups<K, N, T, bytes.value>, kThreads);
+        ColumnGroups<P> const groups(p.x.count(), p.x.height, p.x.width, kRows, GroupRows<T, P, R, bytes.value>::kReach,
+                                     K, resident);
+        median_groups<K, N, T, bytes.value><<<groups.blocks(), groups.threads, 0, stream>>>(p, groups);
       },
       p.x, p.y);
   return true;
@@ -353,22 +365,22 @@ int launch_strips(MedianBlurList<T> const& p, CUstream_st* stream) {
       });
 }
 
-template <int K, int N>
-int launch_groups(MedianBlurList<uint8_t> const& p, CUstream_st* stream) {
+template <int K, int N, class T>
+int launch_groups(MedianBlurList<T> const& p, CUstream_st* stream) {
   return launch_list(
       p,
-      [](MedianBlur<uint8_t> const& one) {
+      [](MedianBlur<T> const& one) {
         return ColumnGroups<2 * N>(one.x.count(), one.x.height, one.x.width, kRows, K / 2, kThreads).blocks();
       },
-      [&](MedianBlurList<uint8_t> const& list, unsigned blocks) {
+      [&](MedianBlurList<T> const& list, unsigned blocks) {
         median_groups_of_list<K, N><<<blocks, kThreads, 0, stream>>>(list);
       });
 }
 
-// By groups of bytes that serve all images, or by strips.
+// By groups that serve all images, or by strips.
 template <int K, int N, class T>
 int launch_network(MedianBlurList<T> const& p, CUstream_st* stream) {
-  if constexpr (sizeof(T) == 1)
+  if constexpr (sizeof(T) <= 2)
     if (all_samples(p, [](MedianBlur<T> const& one) { return supports_groups<2 * N, K / 2>(one.x); }))
       return launch_groups<K, N>(p, stream);
   return launch_strips<K, N>(p, stream);
@@ -388,7 +400,7 @@ int median_blur_list(MedianBlurList<T> const& p, CUstream_st* stream) {
 
 template <class T>
 int median_blur(MedianBlur<T> const& p, CUstream_st* stream) {
-  if constexpr (sizeof(T) == 1)
+  if constexpr (sizeof(T) <= 2)
     if (launch_groups<3, 4>(p, stream) || launch_groups<5, 2>(p, stream)) return cudaGetLastError();
   // Special case, H200: 134 to 212 times as fast as a thread an element.
   if (p.ky == p.kx && p.kx == 3 && p.x.step == 1) launch_strips<3, 4>(p, stream);

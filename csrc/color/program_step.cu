@@ -12,8 +12,7 @@
 namespace kv::color::cuda {
 namespace {
 
-constexpr Step kAnyType[] = {Step::affine,       Step::rgb_to_hsv,      Step::hsv_to_rgb,
-                             Step::weighted_sum, Step::standardize_rgb, Step::scale_shift};
+constexpr Step kAnyType[] = {Step::affine, Step::rgb_to_hsv, Step::hsv_to_rgb, Step::weighted_sum, Step::scale_shift};
 constexpr Step kBytes[] = {Step::luma_u8_fixed_point, Step::scale_shift};
 
 template <Step kStep>
@@ -156,9 +155,14 @@ bool takes_step(Program<float> const& p) {
   if (p.steps != 1 || p.has_order() || p.measures_mean || p.x.type != p.y.type || p.x.type == DType::float64 ||
       !(bytes ? is_one_of(kBytes) : is_one_of(kAnyType)))
     return false;
-  for (int i = 0; i < p.count; ++i)
-    if (p.column[i] >= 0 || (step == Step::luma_u8_fixed_point && !(p.numbers[i] >= 0 && p.numbers[i] < 1 << 15)))
+  float sum = 0;
+  for (int i = 0; i < p.count; ++i) {
+    float const x = p.numbers[i];  // weights of bytes are integers of 16 bits, and levels of their sums bytes
+    sum += x;
+    if (p.column[i] >= 0 || (step == Step::luma_u8_fixed_point && !(x >= 0 && x < 1 << 15 && x == float(int(x)))))
       return false;
+  }
+  if (step == Step::luma_u8_fixed_point && sum > 1 << 15) return false;
   if (is_per_value(step)) return p.x.step == p.y.step && is_dense(p, p.x) && is_dense(p, p.y);
   return p.x.step == 1 && p.y.step == 1 && p.x.channels == 3;
 }

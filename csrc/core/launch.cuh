@@ -513,7 +513,7 @@ inline int strip_height(int64_t columns, int64_t height, int taps, int64_t resid
 inline int height_near(int rows, int64_t columns, int64_t height, int taps, int64_t resident) {
   constexpr int kManyWaves = 8;
   if (columns * ceil_div(height, rows) > kManyWaves * resident) return rows;
-  return strip_height(columns, height, taps, resident, resident, rows / 2, 2 * rows);
+  return strip_height(columns, height, taps, resident, resident, max(rows / 2, min(rows, 8)), 2 * rows);
 }
 
 // Splits planes into strips of 32 P columns and `rows` rows, one for each warp, x fastest: the warps of a block read

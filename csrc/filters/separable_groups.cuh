@@ -31,16 +31,15 @@ constexpr int kLargestOfGroups = 11;  // window
 template <class T, int K>
 constexpr bool kHasGroups = K <= 5 || (K == kLargestOfGroups && sizeof(T) == 2);  // whether they are faster than strips
 constexpr int kAhead = 2;                                                         // rows in flight
-// Rows and threads of a block, and how many blocks a multiprocessor must hold.
+// Threads and about the rows of a block, and how many blocks a multiprocessor must hold.
+constexpr int kGroupThreads = 128;
 template <int K>
 constexpr int kGroupRows = K <= 5 ? 32 : 64;
 template <int K>
-constexpr int kGroupThreads = K <= 5 ? 256 : 128;
-template <int K>
-constexpr int kGroupBlocks = K <= 5 ? 2 : 3;
+constexpr int kGroupBlocks = K <= 5 ? 5 : 3;
 
 template <class T, int K, int P, int Bytes>
-__device__ __forceinline__ void filter_groups(Separable<T> const& p, ColumnGroups<P, kGroupThreads<K>> const& groups,
+__device__ __forceinline__ void filter_groups(Separable<T> const& p, ColumnGroups<P, kGroupThreads> const& groups,
                                               unsigned block, float divisor) {
   constexpr int R = K / 2;
   int64_t plane;
@@ -92,20 +91,20 @@ __device__ __forceinline__ void filter_groups(Separable<T> const& p, ColumnGroup
 }
 
 template <class T, int K, int P, int Bytes>
-__global__ void __launch_bounds__(kGroupThreads<K>, kGroupBlocks<K>)
+__global__ void __launch_bounds__(kGroupThreads, kGroupBlocks<K>)
     separable_groups(__grid_constant__ Separable<T> const p,
-                     __grid_constant__ ColumnGroups<P, kGroupThreads<K>> const groups, float divisor) {
+                     __grid_constant__ ColumnGroups<P, kGroupThreads> const groups, float divisor) {
   filter_groups<T, K, P, Bytes>(p, groups, blockIdx.x, divisor);
 }
 
 template <class T, int K, int P>
-__global__ void __launch_bounds__(kGroupThreads<K>, kGroupBlocks<K>)
+__global__ void __launch_bounds__(kGroupThreads, kGroupBlocks<K>)
     separable_groups_of_list(__grid_constant__ SeparableList<T> const list, int rows, float divisor) {
   unsigned block;
   Separable<T> const* const p = sample_of_block(list, block);
   if (!p) return;
-  ColumnGroups<P, kGroupThreads<K>> const groups(p->x.count(), p->x.height, p->x.width, rows,
-                                                 GroupRows<T, P, K / 2>::kReach, kGroupThreads<K>);
+  ColumnGroups<P, kGroupThreads> const groups(p->x.count(), p->x.height, p->x.width, rows,
+                                              GroupRows<T, P, K / 2>::kReach, kGroupThreads);
   filter_groups<T, K, P, 0>(*p, groups, block, divisor);
 }
 
@@ -121,9 +120,9 @@ int launch_strips_or_groups(Separable<T> const& p, float divisor, CUstream_st* s
     bool const same_size = p.x.width == p.y.width && p.x.height == p.y.height;
     auto const launch = [&](auto bytes) {
       constexpr int kBytes = decltype(bytes)::value;
-      static int const resident = resident_blocks(separable_groups<T, K, P, kBytes>, kGroupThreads<K>);
-      ColumnGroups<P, kGroupThreads<K>> const groups(p.x.count(), p.x.height, p.x.width, kGroupRows<K>,
-                                                     GroupRows<T, P, R, kBytes>::kReach, K, resident);
+      static int const resident = resident_blocks(separable_groups<T, K, P, kBytes>, kGroupThreads);
+      ColumnGroups<P, kGroupThreads> const groups(p.x.count(), p.x.height, p.x.width, kGroupRows<K>,
+                                                  GroupRows<T, P, R, kBytes>::kReach, K, resident);
       separable_groups<T, K, P, kBytes><<<groups.blocks(), groups.threads, 0, stream>>>(p, groups, divisor);
       return int(cudaGetLastError());
     };
@@ -133,8 +132,10 @@ int launch_strips_or_groups(Separable<T> const& p, float divisor, CUstream_st* s
         return with_row_bytes<P>(launch, p.x, p.y);
       } else {
         // Special case, H200: 1.13 (gauss3) to 1.42 (gauss5 of 299x299) times as fast as strips, half types at 335x513.
-        if (p.border != Border::circular && bytes_of_rows<P>(p.x, p.y) == 0)
-          return launch(std::integral_constant<int, 0>{});
+        int const bytes = p.border != Border::circular ? bytes_of_rows<P>(p.x, p.y) : P * int(sizeof(T));
+        if (bytes == 0) return launch(std::integral_constant<int, 0>{});
+        if constexpr (K <= 5)
+          if (bytes == 8) return launch(std::integral_constant<int, 8>{});
       }
     }
   }
@@ -147,7 +148,7 @@ int launch_strips_or_groups(SeparableList<T> const& p, float divisor, CUstream_s
     if (p.all.kx.size != K) return launch_strips_or_groups<K + 2>(p, divisor, stream);
   }
   if constexpr (kHasGroups<T, K>) {
-    constexpr int P = kGroupPixels<T>, R = K / 2, kThreads = kGroupThreads<K>;
+    constexpr int P = kGroupPixels<T>, R = K / 2, kThreads = kGroupThreads;
     bool const centered = p.all.kx.before == R && p.all.ky.before == R;
     if (centered && (sizeof(T) == 1 || p.all.border != Border::circular) &&
         all_samples(p, [](Separable<T> const& one) { return supports_groups<P, R>(one.x); })) {

@@ -33,7 +33,7 @@ struct ColumnGroups {
   }
   static int rows_of(int64_t groups, int64_t height, int most_rows, int taps, int resident) {
     int const rows = busy_rows(most_rows, [&](int n) { return groups * ceil_div(height, n); });
-    return rows < most_rows ? rows : height_near(rows, ceil_div(groups, Threads), height, taps, resident);
+    return height_near(rows, ceil_div(groups, Threads), height, taps, resident);
   }
   KV_HD ColumnGroups(int64_t planes, int64_t height, int64_t width, int rows, int reach, int threads)
       : across(unsigned(ceil_div(width, P))),

@@ -7,8 +7,8 @@
 namespace kv::geometry::cuda {
 namespace {
 
-constexpr int P = 4, kRows = 24;  // pixels of a group; about the rows of a block
-constexpr int kAhead = 2;         // rows in flight
+constexpr int P = 4, kRows = 24;           // pixels of a group; about the rows of a block
+constexpr int kAhead = 2, kThreads = 128;  // rows in flight; of a block
 template <ResizeFilter Filter>
 constexpr bool kPyrdown = Filter == ResizeFilter::pyrdown;
 template <ResizeFilter Filter>
@@ -48,8 +48,8 @@ __device__ __forceinline__ Window<Filter> window_of(ResizeAxis const& axis, int 
 }
 
 template <class T, ResizeFilter Filter, int Bytes>
-__global__ void __launch_bounds__(256)
-    near_half_groups(__grid_constant__ Resize<T> const p, __grid_constant__ ColumnGroups<P> const groups) {
+__global__ void __launch_bounds__(kThreads, 5)
+    near_half_groups(__grid_constant__ Resize<T> const p, __grid_constant__ ColumnGroups<P, kThreads> const groups) {
   constexpr int kTaps = cuda::kTaps<Filter>, kReach = cuda::kReach<Filter>, kRead = cuda::kRead<Filter>;
   __shared__ Window<Filter> rows[2 * kRows + 2];
   int64_t plane;
@@ -184,22 +184,20 @@ int resize_near_half(Resize<T> const& p, CUstream_st* stream) {
            axis.source >= 2 * axis.result && 4 * axis.source <= 9 * axis.result && axis.result >= P &&
            axis.source >= 16;
   };
-  // Even widths are antialiased faster by strips (1.4 times at 375x500).
-  bool const is_pyrdown = p.columns.filter == ResizeFilter::pyrdown;
-  bool const planar = p.x.step == 1 && p.y.step == 1 && (is_pyrdown || p.x.width % 2 == 1) && !p.minuend;
+  bool const planar = p.x.step == 1 && p.y.step == 1 && !p.minuend;
   if (!planar || !serves(p.rows) || !serves(p.columns)) return kUnsupported;
   constexpr int kBytes = P * int(sizeof(T));
   auto const launch = [&](auto filter) {
     auto const run = [&](auto bytes) {
       auto* const kernel = near_half_groups<T, filter.value, bytes.value>;
-      static int const resident = resident_blocks(kernel, 256);
-      ColumnGroups<P> const groups(p.y.count(), p.y.height, p.y.width, kRows, 0, 4, resident);
+      static int const resident = resident_blocks(kernel, kThreads);
+      ColumnGroups<P, kThreads> const groups(p.y.count(), p.y.height, p.y.width, kRows, 0, 4, resident);
       kernel<<<groups.blocks(), groups.threads, 0, stream>>>(p, groups);
     };
     bytes_of_rows<P>(p.y) == kBytes ? run(std::integral_constant<int, kBytes>{})
                                     : run(std::integral_constant<int, 0>{});
   };
-  if (is_pyrdown)
+  if (p.columns.filter == ResizeFilter::pyrdown)
     launch(std::integral_constant<ResizeFilter, ResizeFilter::pyrdown>{});
   else
     launch(std::integral_constant<ResizeFilter, ResizeFilter::bilinear>{});

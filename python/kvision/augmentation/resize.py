@@ -31,7 +31,7 @@ from kvision.color.frames import Frames
 from kvision.constants import AnyResample, Resample
 from kvision.core.exceptions import ValueCheckError
 from kvision.geometry.transform.lists.arguments import like_batch, sizes
-from kvision.geometry.transform.resize import resize_each
+from kvision.geometry.transform.resize import resize_each, side_to_sizes
 
 __all__ = ["LongestMaxSize", "Pad", "PadIfNeeded", "PadTo", "RandomScale", "Resize", "SmallestMaxSize"]
 
@@ -124,7 +124,11 @@ class Resize(GeometricAugmentationBase2D):
         return bool(self.flags["antialias"]) and not self._is_customized()
 
     def _run_list(self, images: Sequence[Tensor], execution: Execution) -> Any:
-        return _antialiased_list(images, self._param_generator.sizes_for(sizes(images)), True, self.flags)
+        return _antialiased_list(images, *self._sizes_of_list(images), self.flags)
+
+    def _sizes_of_list(self, images: Sequence[Tensor]) -> tuple[list[int], bool]:
+        size, side = self._param_generator.output_size, self._param_generator.side
+        return (side_to_sizes(size, sizes(images), side), True) if isinstance(size, int) else (list(size), False)
 
 
 def _antialiased_list(images: Sequence[Tensor], sizes: Sequence[int], is_list: bool, flags: dict[str, Any]) -> Any:

@@ -46,9 +46,8 @@ BACKWARD_BY_SIZE = {
     "a stencil": {"RandomMedianBlur", "RingingOvershoot"},
     "statistics of the image": {"RandomAutoContrast", "RandomClahe", "RandomEqualize", "RandomJPEG"},
     "noise of hue and light": {"ISONoise"},
-    "a layer that depends on the image, or of each size": {"RandomFog", "Spatter"},
+    "a layer that depends on the image": {"RandomFog"},
     "reads of neighbors": {"Downscale", "GlassBlur", "ZoomBlur"},
-    "objects of the masks of a call": {"MaskDropout"},
 }
 
 

@@ -77,8 +77,3 @@ def layered(layer: Tensor, *factors: Tensor | float, windows: Tensor | None = No
         return Operation(add_layer, (layer, windows, constant(((factors,),), layer)))
     each = [f.to(layer) if isinstance(f, Tensor) else constant(((f,),), layer) for f in factors]
     return Operation(add_layer, (layer, windows, torch.stack(torch.broadcast_tensors(*each), -1)))
-
-
-def behind(x: Tensor, layer: Tensor, *factors: Tensor | float, windows: Tensor | None = None) -> Tensor:
-    """Images behind a layer, as :func:`layered` says."""
-    return layered(layer.to(compute_dtype(x)), *factors, windows=windows)(x)

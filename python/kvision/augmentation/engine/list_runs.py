@@ -272,7 +272,10 @@ def _make_plan(
     steps = count_list_steps(run.steps, sized.own if has_one_size else None)
     if context.output.memory_format is not None and not has_one_size:
         return None
-    has_inputs = any(isinstance(step, Joined) for step in run.steps[:steps])  # others read sizes themselves
+    by_matrix = [
+        isinstance(s, Joined) or (isinstance(s, Alone) and modules[s.number].warps_lists_by_matrix) for s in run.steps
+    ]
+    has_inputs = any(by_matrix[:steps])  # others read sizes themselves
     numbers = sized.numbers(has_inputs=has_inputs)
     draws, listed = run.draws[0] if run.draws else None, list(sized.draws)
     if sized.count and has_inputs:

@@ -242,7 +242,7 @@ def _padded(masks: Sequence[Tensor], height: int, width: int, device: torch.devi
         rows.append((*mask.shape[-2:], begins))
         begins += mask.numel()
     joined = _as_integers(torch.cat([mask.flatten() for mask in masks]).to(device))
-    of_each = rows_on_device(tuple(rows), joined, torch.int64)
+    of_each = rows_on_device(torch.tensor(rows, device="cpu"), joined, torch.int64)
     h, w, begin = (n[:, None, None, None] for n in of_each.unbind(1))
     channel, y, x = (torch.arange(n, device=device) for n in (channels, height, width))
     y, channel = y[:, None], channel[:, None, None]

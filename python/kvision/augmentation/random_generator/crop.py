@@ -18,7 +18,7 @@ from kvision.augmentation.inputs import parse_size
 from kvision.augmentation.random_generator.base import RandomGeneratorBase, Shape
 from kvision.augmentation.ranges import Numbers
 from kvision.core.exceptions import TypeCheckError, ValueCheckError
-from kvision.geometry.transform.resize import side_to_size, side_to_sizes
+from kvision.geometry.transform.resize import side_to_size
 
 __all__ = [
     "CropGenerator",
@@ -222,12 +222,6 @@ class ResizeGenerator(RandomGeneratorBase):
         if not isinstance(self.output_size, int):
             return self.output_size
         return side_to_size(self.output_size, shape[-2], shape[-1], self.side)
-
-    def sizes_for(self, sides: Sequence[int]) -> list[int]:
-        """The same of a list, from height and width of each image."""
-        if not isinstance(self.output_size, int):
-            return [*self.output_size] * (len(sides) // 2)
-        return side_to_sizes(self.output_size, sides, self.side)
 
     def draws(self, shape: Shape) -> Sequence[Draw]:
         return []

@@ -88,10 +88,10 @@ Tensors channel_contrast_list(Tensors const& images, OptionalTensor const& chose
   ListedImages const list("channel_contrast_list", images, chosen, true);
   Tensor const& like = list.like();
   check_pixels(list);
-  int64_t chunks = 0;
-  for (Tensor const& x : list.images) chunks += enhance::contrast_chunks(x.size(1) * x.size(2));
   dispatch_floating_and_uint8(list.kept.op, like, [&]<class T>(Type<T>) {
     using F = Compute<T>;
+    int64_t chunks = 0;
+    for (Tensor const& x : list.images) chunks += enhance::contrast_chunks<T>(x.size(1) * x.size(2));
     Tensor const memory = enhance::working_memory<F>(like, like.size(1) * chunks);
     enhance::ChannelContrast<T> all{};
     all.factor = F(factor), all.most = sizeof(T) == 1 ? 255 : 1;

@@ -18,28 +18,35 @@ template <class T>
 constexpr int kMapped = sizeof(T) == 8 ? 1 : kSummed<T>;
 
 // A part of a flat plane.
+template <class T>
 struct ContrastChunk {
   int64_t plane;
   int begin, end;
-  __device__ __forceinline__ ContrastChunk(unsigned block, int64_t chunks, int64_t pixels)
-      : plane(block / chunks),
-        begin(int(block - plane * chunks) * kContrastChunk),
-        end(int(min(int64_t(begin) + kContrastChunk, pixels))) {}
+  __device__ __forceinline__ ContrastChunk(unsigned block, int64_t pixels) {
+    int64_t const chunks = contrast_chunks<T>(pixels);
+    plane = block / chunks;
+    begin = int(block - plane * chunks) * kContrastChunk<T>;
+    end = int(min(int64_t(begin) + kContrastChunk<T>, pixels));
+  }
 };
 
 template <class T>
 __device__ __forceinline__ Vector<T, kSummed<T>> pixels_of(T const* x, int64_t step, int i, int end) {
   constexpr int N = kSummed<T>;
-  if (step == 1) return load_unaligned<N>(x + i, x + end);
+  if (step == 1) {
+    bool const is_vector = reinterpret_cast<uintptr_t>(x + i) % 16 == 0 && i + N <= end;
+    return is_vector ? *reinterpret_cast<Vector<T, N> const*>(x + i) : load_unaligned<N>(x + i, x + end);
+  }
   Vector<T, N> v;
 #pragma unroll
   for (int k = 0; k < N; ++k) v.v[k] = i + k < end ? x[(i + k) * step] : T{};
   return v;
 }
 
-// The sum of value(pixel of each of the planes...) over a chunk.
+// The sum of value(pixel of each of the planes...) over a chunk. It is 0 for pixels behind the last one, which are 0.
 template <class T, class Value, class... Read>
-__device__ __forceinline__ void sum_chunk(ContrastChunk const& at, Compute<T>* to, Value value, Read const&... planes) {
+__device__ __forceinline__ void sum_chunk(ContrastChunk<T> const& at, Compute<T>* to, Value value,
+                                          Read const&... planes) {
   using F = Compute<T>;
   constexpr int N = kSummed<T>;
   __shared__ F memory[kContrastThreads / 32];
@@ -48,7 +55,7 @@ __device__ __forceinline__ void sum_chunk(ContrastChunk const& at, Compute<T>* t
   for (int i = at.begin + int(threadIdx.x) * N; i < at.end; i += kContrastThreads * N) {
     auto const add = [&](auto const&... vectors) {
 #pragma unroll
-      for (int k = 0; k < N; ++k) sum += i + k < at.end ? value(F(read(vectors.v[k]))...) : F(0);
+      for (int k = 0; k < N; ++k) sum += value(F(read(vectors.v[k]))...);
     };
     add(pixels_of(planes.plane(at.plane), planes.step, i, at.end)...);
   }
@@ -68,14 +75,32 @@ __device__ __forceinline__ F sum_of_chunks(F const* partial, int64_t chunks) {
 // The mean of a plane, by the sums of all chunks.
 template <class T, class F>
 __device__ __forceinline__ F mean_of_plane(Planes<T const> const& x, F const* partial, int64_t plane) {
-  int64_t const chunks = contrast_chunks(x.width);
+  int64_t const chunks = contrast_chunks<T>(x.width);
   return sum_of_chunks(partial + plane * chunks, chunks) / F(x.width);
 }
 
 template <class T>
 __device__ __forceinline__ void sum_pixels(Planes<T const> const& x, Compute<T>* partial, unsigned block) {
   using F = Compute<T>;
-  sum_chunk<T>({block, contrast_chunks(x.width), x.width}, partial + block, [](F x) { return x; }, x);
+  ContrastChunk<T> const at(block, x.width);
+  if constexpr (sizeof(T) == 1) {  // exact, by integers
+    __shared__ int memory[kContrastThreads / 32];
+    constexpr int N = kSummed<T>;
+    T const* const plane = x.plane(at.plane);
+    unsigned sum = 0;
+#pragma unroll 4
+    for (int i = at.begin + int(threadIdx.x) * N; i < at.end; i += kContrastThreads * N) {
+      auto const pixels = pixels_of(plane, x.step, i, at.end);
+      uint32_t words[N / 4];
+      __builtin_memcpy(words, &pixels, N);
+#pragma unroll
+      for (uint32_t const word : words) sum = __dp4a(word, 0x01010101u, sum);
+    }
+    int const total = block_sum_to_all(int(sum), memory);
+    if (threadIdx.x == 0) partial[block] = F(total);
+  } else {
+    sum_chunk<T>(at, partial + block, [](F x) { return x; }, x);
+  }
 }
 
 // P: pixels of a thread's vectors.
@@ -83,7 +108,7 @@ template <int P, class T>
 __device__ __forceinline__ void map_contrast(ChannelContrast<T> const& p, unsigned block) {
   using F = Compute<T>;
   int64_t const step = p.x.step;
-  ContrastChunk const at(block, contrast_chunks(p.x.width), p.x.width);
+  ContrastChunk<T> const at(block, p.x.width);
   F const mean = mean_of_plane(p.x, p.partial, at.plane);
   T const* const x = p.x.plane(at.plane);
   T* const y = p.y.plane(at.plane);
@@ -126,7 +151,7 @@ template <class T>
 __global__ void __launch_bounds__(kContrastThreads)
     sum_gradients(__grid_constant__ ChannelContrastBackward<T> const p) {
   using F = Compute<T>;
-  ContrastChunk const at(blockIdx.x, contrast_chunks(p.x.width), p.x.width);
+  ContrastChunk<T> const at(blockIdx.x, p.x.width);
   F const mean = mean_of_plane(p.x, p.partial, at.plane);
   sum_chunk<T>(
       at, p.partial_grads + blockIdx.x, [&](F grad, F x) { return p.before_clamp(grad, x, mean); }, p.grad, p.x);
@@ -135,8 +160,8 @@ template <class T, int P>
 __global__ void __launch_bounds__(kContrastThreads)
     map_gradients(__grid_constant__ ChannelContrastBackward<T> const p) {
   using F = Compute<T>;
-  int64_t const chunks = contrast_chunks(p.x.width);
-  ContrastChunk const at(gridDim.x - 1 - blockIdx.x, chunks, p.x.width);
+  int64_t const chunks = contrast_chunks<T>(p.x.width);
+  ContrastChunk<T> const at(gridDim.x - 1 - blockIdx.x, p.x.width);
   F const mean = mean_of_plane(p.x, p.partial, at.plane),
           of_mean = sum_of_chunks(p.partial_grads + at.plane * chunks, chunks) * (1 - p.factor) / F(p.x.width);
   T const *const x = p.x.plane(at.plane), *const grad = p.grad.plane(at.plane);
@@ -162,7 +187,7 @@ __global__ void __launch_bounds__(kContrastThreads)
 
 template <class T>
 int channel_contrast(ChannelContrast<T> const& p, CUstream_st* stream) {
-  unsigned const blocks = unsigned(p.x.count() * contrast_chunks(p.x.width));
+  unsigned const blocks = unsigned(p.x.count() * contrast_chunks<T>(p.x.width));
   sum_planes<T><<<blocks, kContrastThreads, 0, stream>>>(p.x, p.partial);
   with_row_vectors<kMapped<T>>(are_equally_aligned<kMapped<T>>(p.x, p.y), [&](auto pixels) {
     map_planes<T, pixels.value><<<blocks, kContrastThreads, 0, stream>>>(p);
@@ -177,7 +202,7 @@ int channel_contrast_list(ChannelContrastList<T> const& p, CUstream_st* stream) 
     return are_equally_aligned<kMapped<T>>(flat.x, flat.y);
   });
   return launch_list(
-      p, [&](ChannelContrast<T> const& one) { return p.channels * contrast_chunks(one.x.height * one.x.width); },
+      p, [&](ChannelContrast<T> const& one) { return p.channels * contrast_chunks<T>(one.x.height * one.x.width); },
       [&](ChannelContrastList<T> const& list, unsigned blocks) {
         contrast_of_list<T, 0><<<blocks, kContrastThreads, 0, stream>>>(list);
         with_row_vectors<kMapped<T>>(aligned, [&](auto pixels) {
@@ -189,7 +214,7 @@ int channel_contrast_list(ChannelContrastList<T> const& p, CUstream_st* stream) 
 template <class T>
 int channel_contrast_backward(ChannelContrastBackward<T> const& p, CUstream_st* stream) {
   constexpr int P = kMapped<T>;
-  unsigned const blocks = unsigned(p.x.count() * contrast_chunks(p.x.width));
+  unsigned const blocks = unsigned(p.x.count() * contrast_chunks<T>(p.x.width));
   sum_planes<T><<<blocks, kContrastThreads, 0, stream>>>(p.x, p.partial);
   sum_gradients<T><<<blocks, kContrastThreads, 0, stream>>>(p);
   with_row_vectors<P>(are_equally_aligned<P>(p.x, p.grad) && are_equally_aligned<P>(p.x, p.grad_x),

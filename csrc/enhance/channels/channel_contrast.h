@@ -8,9 +8,13 @@
 
 namespace kv::enhance {
 
-// The sum of a plane is that of its chunks, whatever the other planes of a batch or of a list are.
-constexpr int kContrastChunk = 8192;
-KV_HD int64_t contrast_chunks(int64_t pixels) { return (pixels + kContrastChunk - 1) / kContrastChunk; }
+// The sum of a plane is that of its chunks, whatever the other planes of a batch or of a list are. A chunk has 32 KB.
+template <class T>
+constexpr int kContrastChunk = 32768 / int(sizeof(T));
+template <class T>
+KV_HD int64_t contrast_chunks(int64_t pixels) {
+  return (pixels + kContrastChunk<T> - 1) / kContrastChunk<T>;
+}
 
 template <class T>
 struct ChannelContrast {

@@ -13,7 +13,7 @@ Tensor channel_contrast(Tensor const& input, double factor) {
     using F = Compute<T>;
     ChannelContrast<T> p{};
     p.x = flat_planes<T const>(x, layout), p.y = flat_planes<T>(y, layout);
-    Tensor const memory = working_memory<F>(x, p.x.count() * contrast_chunks(p.x.width));
+    Tensor const memory = working_memory<F>(x, p.x.count() * contrast_chunks<T>(p.x.width));
     p.factor = F(factor), p.most = sizeof(T) == 1 ? 255 : 1;
     p.partial = static_cast<F*>(memory.mutable_data_ptr());
     KV_RUN(channel_contrast, x, p, p.x.count(), 2 * p.x.width);
@@ -33,7 +33,7 @@ Tensor channel_contrast_backward(Tensor const& grad, Tensor const& input, double
     ChannelContrastBackward<T> p{};
     p.grad = flat_planes<T const>(g, layout), p.x = flat_planes<T const>(x, layout);
     p.grad_x = flat_planes<T>(grad_x, layout);
-    int64_t const chunks = p.x.count() * contrast_chunks(p.x.width);
+    int64_t const chunks = p.x.count() * contrast_chunks<T>(p.x.width);
     Tensor const memory = working_memory<F>(x, 2 * chunks);
     p.factor = F(factor);
     p.partial = static_cast<F*>(memory.mutable_data_ptr());

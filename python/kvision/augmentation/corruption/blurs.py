@@ -152,7 +152,8 @@ class RingingOvershoot(IntensityAugmentationBase2D, keeps_contract=True):
         wave = torch.special.bessel_j1(cutoff * radius) / (2 * math.pi * radius)
         taps = torch.where(radius == 0, cutoff / (4 * math.pi), wave)
         taps = taps * (torch.maximum(y.abs(), x.abs()) <= (side - 1) / 2)
-        _, *arguments, _ = filter_arguments("filter2d", like, taps / taps.sum((1, 2), keepdim=True))
+        total = taps.double().sum((1, 2), keepdim=True).to(own)  # whose bits do not depend on the number of samples
+        _, *arguments, _ = filter_arguments("filter2d", like, taps / total)
         return Operation(filter_lists.filter2d_clamped, tuple(arguments))
 
 

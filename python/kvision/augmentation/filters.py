@@ -275,8 +275,6 @@ class RandomMotionBlur(DrawnKernelSize, IntensityAugmentationBase2D, keeps_contr
         self._param_generator: MotionBlurGenerator = generator
         self.flags = {"border_type": BorderType.get(border_type), "resample": Resample.get(resample)}
 
-    accepts_bytes = False
-
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:

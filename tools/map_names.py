@@ -18,7 +18,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 REFERENCES, KERNELS, TESTS, PAGES = (ROOT / f for f in ("python/kvision", "csrc", "tests", "docs/reference"))
 REGISTERED = re.compile(
-    r'\b(?:_?register(?:_added|_eraser|_filter|_fit|_formula|_list)?|FastPath|ListOperator)\(\s*"(\w+)"'
+    r'\b(?:_?register(?:_added|_eraser|_filter|_fit|_formula|_list(?:_backward)?)?|FastPath|ListOperator)\(\s*"(\w+)"'
 )
 DECLARED = re.compile(r"^KV_OPERATOR\(\s*(\w+)\s*,", re.MULTILINE)
 TABULATED = re.compile(r"^  _\((\w+), [\w:<>]+,", re.MULTILINE)  # a row of a table of formulas in a header

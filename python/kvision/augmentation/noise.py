@@ -352,7 +352,7 @@ def _all_pepper(grads: Sequence[Tensor], images: Sequence[Tensor], parameters: T
     return _salt_and_pepper_list(grads, parameters * constant((1.0, 0.0), parameters), *others, own)
 
 
-def _register_added_list(operator: str) -> None:
+def _register_list(name: str, operator: str) -> None:
     def of_images(grads: Sequence[Tensor], images: Sequence[Tensor], parameters: Tensor, *rest: Any) -> list[Tensor]:
         *_, chosen, plan = rest
         form = _form(plan)
@@ -377,13 +377,11 @@ def _register_added_list(operator: str) -> None:
         row, _ = _gradients_of_added(row_of(grads), row_of(images), term, chooses != 0, form)
         return [g.view(x.shape) for g, x in zip(row.to(grads[0].dtype).split(counts), images)]
 
-    of_list = register_list(
-        f"{operator}_list", _ADDED[operator], _of_sample, partial(_noise_backward, operator), of_images=of_images
-    )
+    of_list = register_list(name, _ADDED[operator], _of_sample, partial(_noise_backward, operator), of_images=of_images)
 
 
-_register_added_list("gaussian_noise")
-_register_added_list("uniform_noise")
+_register_list("gaussian_noise_list", "gaussian_noise")
+_register_list("uniform_noise_list", "uniform_noise")
 _salt_and_pepper_list = register_list(
     "salt_and_pepper_list", salt_and_pepper, _of_sample, _salt_and_pepper_gradients, of_images=_all_pepper
 )

@@ -104,6 +104,7 @@ __global__ void __launch_bounds__(kThreads) run_one_step(__grid_constant__ Progr
       }
     }
 
+    int const left = int(min(p.pixels - i, int64_t(1) << 30));
     bool const all_whole = kResults == 1 ? whole : __all_sync(0xffffffffu, whole);
 #pragma unroll
     for (int k = 0; k < kResults; ++k) {
@@ -115,7 +116,7 @@ __global__ void __launch_bounds__(kThreads) run_one_step(__grid_constant__ Progr
         for (int j = 0; j < P; ++j)
           if (is_in(i + j, p.pixels)) own[j] = results[k].v[j];
       } else {
-        store_striped_if<P, kThreads / 32>(own, results[k], [&](int ahead) { return i + ahead < p.pixels; });
+        store_striped_if<P, kThreads / 32>(own, results[k], [&](int ahead) { return ahead < left; });
       }
     }
   }

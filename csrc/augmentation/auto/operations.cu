@@ -118,30 +118,29 @@ __global__ void __launch_bounds__(kThreads, 3)
   int64_t const b = tile.b;
   Images<T const> const &from = p.forward.warp.x, &grad = p.warp.grad;
   Images<T> const& to = p.warp.grad_x;
-  int const t = int(threadIdx.x), width = int(from.width), height = int(from.height);
+  int const width = int(from.width), height = int(from.height);
   Operation const operation = p.forward.operation_of(b);
   if (moves_pixels(operation) || operation == Operation::none || operation == Operation::identity) return;
-  PixelGroup<T, Vectors> const group({}, tile.x, width, operation == Operation::sharpness);
-  int const x = group.x, y = tile.y + t / kGroups;
-  if (x >= width || y >= height) return;
+  PixelGroup<T, Vectors> const group({}, tile.x, tile.y, width, height, operation == Operation::sharpness);
+  if (group.count <= 0) return;
   float const* const measured = p.forward.measured + b * kImageChannels * kMeasured;
   float const value = p.forward.value_of(b);
   Vector<T, kGroup> result[kImageChannels];
   auto const store = [&] {
 #pragma unroll
-    for (int k = 0; k < kImageChannels; ++k) group.store(to.row(b, k, y), 1, result[k]);
+    for (int k = 0; k < kImageChannels; ++k) group.store(to, b, k, result[k]);
   };
   if (operation == Operation::sharpness) {
 #pragma unroll
     for (int k = 0; k < kImageChannels; ++k)
-      sharpen_vjp(from.row(b, k, 0), grad.row(b, k, 0), height, width, x, y, value, result[k]);
+      sharpen_vjp(from.row(b, k, 0), grad.row(b, k, 0), height, width, group.x, group.y, value, result[k]);
     return store();
   }
   Vector<T, kGroup> stored[kImageChannels];
 #pragma unroll
   for (int k = 0; k < kImageChannels; ++k) {
-    stored[k] = group.load(from.row(b, k, y), 1);
-    result[k] = group.load(grad.row(b, k, y), 1);
+    stored[k] = group.load(from, b, k);
+    result[k] = group.load(grad, b, k);
   }
   if (operation == Operation::equalize) {  // levels have none
 #pragma unroll

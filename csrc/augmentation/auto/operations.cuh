@@ -146,38 +146,47 @@ __device__ __forceinline__ void measure_plane(ApplyOperations<T> const& p, Image
 
 // --- applying --------------------------------------------------------------------------------------------------------
 
-// A thread's pixels of a row, of which those exist that are before the end. Vectors, which all exist, are adjacent; so
-// are those of stencils. Others are apart, so that neighboring threads access neighboring pixels. `Vectors` is a bool,
-// or a type for one that is known.
+// A thread's pixels of a tile. Vectors, which exist as a whole, are adjacent, and so are those of stencils. Others are
+// below each other, so that a warp accesses whole rows: fewer sectors of memory are filled in part. `Vectors` is a
+// bool, or a type for one that is known.
 template <class T, class Vectors>
 struct PixelGroup {
   Vectors vectors;
-  int x, apart, end;
+  bool adjacent;
+  int x, y, count;  // the first pixel, and how many exist
 
-  __device__ __forceinline__ PixelGroup(Vectors vectors, int tile_x, int width, bool is_stencil)
-      : vectors(vectors), end(width) {
-    int const t = int(threadIdx.x) % kGroups;
-    bool const adjacent = vectors || is_stencil;
-    x = tile_x + (adjacent ? kGroup * t : t);
-    apart = adjacent ? 1 : kGroups;
+  __device__ __forceinline__ PixelGroup(Vectors vectors, int left, int top, int width, int height, bool is_stencil)
+      : vectors(vectors), adjacent(vectors || is_stencil) {
+    int const t = int(threadIdx.x);
+    x = left + (adjacent ? kGroup * (t % kGroups) : t % kTile);
+    y = top + (adjacent ? t / kGroups : t / kTile);
+    count = x >= width || y >= height ? 0 : adjacent ? width - x : (height - y + kRows - 1) / kRows;
   }
-  __device__ __forceinline__ Vector<T, kGroup> load(T const* row, int64_t step) const {
-    if (vectors) return *reinterpret_cast<Vector<T, kGroup> const*>(row + x);
+  __device__ __forceinline__ Vector<T, kGroup> load(Images<T const> const& image, int64_t b, int channel) const {
+    T const* const first = image.row(b, channel, y) + x * image.step;
+    if (vectors) return *reinterpret_cast<Vector<T, kGroup> const*>(first);
+    int64_t const apart = adjacent ? image.step : kRows * image.row_stride;
     Vector<T, kGroup> v{};
 #pragma unroll
     for (int j = 0; j < kGroup; ++j)
-      if (x + j * apart < end) v.v[j] = row[(x + j * apart) * step];
+      if (j < count) v.v[j] = first[j * apart];
     return v;
   }
-  __device__ __forceinline__ void store(T* row, int64_t step, Vector<T, kGroup> const& v) const {
+  __device__ __forceinline__ void store(Images<T> const& image, int64_t b, int channel,
+                                        Vector<T, kGroup> const& v) const {
+    T* const first = image.row(b, channel, y) + x * image.step;
     if (vectors) {
-      *reinterpret_cast<Vector<T, kGroup>*>(row + x) = v;
-    } else {
-#pragma unroll
-      for (int j = 0; j < kGroup; ++j)
-        if (x + j * apart < end) row[(x + j * apart) * step] = v.v[j];
+      *reinterpret_cast<Vector<T, kGroup>*>(first) = v;
+      return;
     }
+    int64_t const apart = adjacent ? image.step : kRows * image.row_stride;
+#pragma unroll
+    for (int j = 0; j < kGroup; ++j)
+      if (j < count) first[j * apart] = v.v[j];
   }
+
+ private:
+  static constexpr int kRows = kTile / kGroup;  // between pixels below each other
 };
 
 // Whether groups of pixels are vectors.
@@ -276,7 +285,8 @@ __device__ __forceinline__ void apply_to_tile(ApplyOperations<T> const& p, geome
   if (moves_pixels(operation)) {
     if (t == 0) sampled.init(tiles, p.warp.coords, number);
     __syncthreads();
-    int const x = tile.x + geometry::cuda::column_in_tile<T>(), y = tile.y + geometry::cuda::row_in_tile<T>();
+    int const across = !vectors && sizeof(T) == 4 ? geometry::cuda::kWholeRow : geometry::cuda::kAcross<T>;
+    int const x = tile.x + geometry::cuda::column_in_tile(across), y = tile.y + geometry::cuda::row_in_tile(across);
 #pragma unroll 1
     for (int run = 0; run < geometry::cuda::kPixelsPerThread; ++run)
       if (x < width && y + run * geometry::cuda::kRowStep < height)
@@ -288,15 +298,14 @@ __device__ __forceinline__ void apply_to_tile(ApplyOperations<T> const& p, geome
     for (int k = 0; k < kImageChannels; ++k) tables[k][t] = measured[k * kMeasured + 2 + t];
     __syncthreads();
   }
-  PixelGroup<T, Vectors> const group(vectors, tile.x, width, operation == Operation::sharpness);
-  int const x = group.x, y = tile.y + t / kGroups;
-  if (x >= width || y >= height) return;
+  PixelGroup<T, Vectors> const group(vectors, tile.x, tile.y, width, height, operation == Operation::sharpness);
+  if (group.count <= 0) return;
   Vector<T, kGroup> stored[kImageChannels];
 #pragma unroll
-  for (int k = 0; k < kImageChannels; ++k) stored[k] = group.load(from.row(b, k, y), from.step);
+  for (int k = 0; k < kImageChannels; ++k) stored[k] = group.load(from, b, k);
   auto const store = [&] {
 #pragma unroll
-    for (int k = 0; k < kImageChannels; ++k) group.store(to.row(b, k, y), to.step, stored[k]);
+    for (int k = 0; k < kImageChannels; ++k) group.store(to, b, k, stored[k]);
   };
   float const value = p.value_of(b);
   switch (operation) {
@@ -305,7 +314,7 @@ __device__ __forceinline__ void apply_to_tile(ApplyOperations<T> const& p, geome
       return store();
     case Operation::sharpness:
 #pragma unroll
-      for (int k = 0; k < kImageChannels; ++k) sharpen(from.row(b, k, 0), from, x, y, value, stored[k]);
+      for (int k = 0; k < kImageChannels; ++k) sharpen(from.row(b, k, 0), from, group.x, group.y, value, stored[k]);
       return store();
     case Operation::equalize:
 #pragma unroll

@@ -116,56 +116,92 @@ std::tuple<Tensor, Tensor> apply_operations(Tensor const& images, Tensor const& 
   return {x, matrices};
 }
 
-// Runs steps [begin, end) on images (3, h, w) in dense rows, by turns into the results of `kept` and, of several steps,
-// into further memory. Writes the matrices (S, B, 3, 3) of the steps, and returns the images.
-Tensors run_listed_steps(geometry::KeptSizes const& kept, Tensors const& images, Tensor const& operation,
-                         Tensor const& value, int64_t begin, int64_t end, Tensor const& matrices,
-                         [[maybe_unused]] Tensor const& measured) {
-  Tensor const& like = kept.largest;
-  size_t const count = images.size();
-  geometry::ListSizes const sizes(kept.op, kept.sides, count);
-  int const tiles = geometry::tiles_per_block_of(sizes, count);
-  auto const items_of = [&](size_t b) { return geometry::kOnCuda ? geometry::blocks_of(sizes[b], tiles) : 1; };
-  Tensors const others =
-      end - begin > 1 ? geometry::empty_list(like, kImageChannels, sizes, count, kept.layout) : Tensors{};
-  Tensors const* from = &images;
-  for (int64_t step = begin; step < end; ++step) {
-    Tensors const& to = from == &kept.results ? others : kept.results;
-    dispatch_joined(kept.op, like, [&]<class T>(Type<T>) {
-      ApplyOperationsList<T> p;
-      p.list.interleaved = kept.interleaved();
-      p.tiles_per_block = tiles;
-      auto const run = [&](size_t first) {
-        int64_t const b = int64_t(first);
-        float* const own = data_ptr<float>(matrices) + (step * int64_t(count) + b) * 9;
-        p.all = {};
-        set_warp<T>(p.all.warp, 1, {1, 1}, own);
-        set_operations(p.all, operation, value, step, b);
-        p.all.matrices = own;
-#if defined(KV_CUDA)
-        p.all.measured = data_ptr<float>(measured) + b * kImageChannels * kMeasured;
-#endif
-        KV_RUN(apply_operations_list, like, p, p.list.items, 6 * kImageChannels * like.size(2) * like.size(3));
-      };
-      geometry::for_each_table(
-          p.list, count, [&](size_t b) { return geometry::checked_planes(kept.op, listed((*from)[b])); },
-          [&](size_t b) { return listed(to[b]); }, items_of, run);
-    });
-    from = &to;
+using Listed = std::vector<ListedImage>;
+
+// Memory for images of a list, dense and without tensors of their own, which cost the host more than a launch.
+struct ImageBlock {
+  Tensor memory;
+  Listed images;
+
+  // As large as the results, which are listed.
+  ImageBlock(geometry::KeptSizes const& kept, Listed const& results) {
+    size_t const count = kept.results.size();
+    geometry::ListSizes const sizes(kept.op, kept.sides, count);
+    std::vector<int64_t> const offsets = geometry::offsets_in_block(kImageChannels, sizes, count);
+    memory = empty({offsets[count]}, kept.largest);
+    char* const data = static_cast<char*>(memory.mutable_data_ptr());
+    int64_t const bytes = memory.element_size();
+    images = results;
+    for (size_t b = 0; b < count; ++b) images[b].data = data + offsets[b] * bytes;
   }
-  return *from;
-}
+};
+
+// Images (3, h, w) of a list in dense rows, and what runs steps of a policy on them.
+struct ListedSteps {
+  geometry::KeptSizes const& kept;
+  Tensor const &operation, &value, matrices, measured;
+  Tensors dense;  // keeps the memory
+  Listed images, results;
+  int tiles;
+
+  ListedSteps(geometry::KeptSizes const& kept, Tensors const& given, Tensor const& operation, Tensor const& value)
+      : kept(kept),
+        operation(operation),
+        value(value),
+        matrices(
+            empty({operation.size(1), int64_t(given.size()), 3, 3}, kept.largest, Layout::planar, ScalarType::Float)),
+        measured(measured_of(kept.largest, kMeasured)),
+        dense(color::in_pixel_rows(given, kept.layout)),
+        tiles(geometry::tiles_per_block_of(sizes(), given.size())) {
+    for (Tensor const& x : dense) images.push_back(geometry::checked_planes(kept.op, listed(x)));
+    for (Tensor const& y : kept.results) results.push_back(listed(y));
+  }
+  geometry::ListSizes sizes() const { return {kept.op, kept.sides, kept.results.size()}; }
+
+  // Steps [begin, end) from the images to `to`; those between are in `to` and `others` by turns.
+  void run(int64_t begin, int64_t end, Listed const& to, Listed const& others) const {
+    geometry::ListSizes const all = sizes();
+    Tensor const& like = kept.largest;
+    Listed const* from = &images;
+    for (int64_t step = begin; step < end; ++step) {
+      Listed const& next = (end - step) % 2 == 1 ? to : others;
+      dispatch_joined(kept.op, like, [&]<class T>(Type<T>) {
+        ApplyOperationsList<T> p;
+        p.list.interleaved = kept.interleaved();
+        p.tiles_per_block = tiles;
+        auto const items_of = [&](size_t b) { return geometry::kOnCuda ? geometry::blocks_of(all[b], tiles) : 1; };
+        auto const run = [&](size_t first) {
+          int64_t const b = int64_t(first);
+          float* const own = data_ptr<float>(matrices) + (step * int64_t(images.size()) + b) * 9;
+          p.all = {};
+          set_warp<T>(p.all.warp, 1, {1, 1}, own);
+          set_operations(p.all, operation, value, step, b);
+          p.all.matrices = own;
+#if defined(KV_CUDA)
+          p.all.measured = data_ptr<float>(measured) + b * kImageChannels * kMeasured;
+#endif
+          KV_RUN(apply_operations_list, like, p, p.list.items, 6 * kImageChannels * like.size(2) * like.size(3));
+        };
+        geometry::for_each_table(
+            p.list, images.size(), [&](size_t b) { return (*from)[b]; }, [&](size_t b) { return next[b]; }, items_of,
+            run);
+      });
+      from = &next;
+    }
+  }
+};
 
 // All steps of a policy on a list of images (3, h, w). The matrices (S, B, 3, 3) follow the results.
 Tensors apply_operations_list(Tensors const& images, Tensor const& operation, Tensor const& value) {
   constexpr char const* op = "apply_operations_list";
   geometry::KeptSizes const kept(op, images);
   check_arguments(op, kept.largest, operation, value, true);
-  int64_t const batch = int64_t(images.size()), steps = operation.size(1);
-  Tensor const matrices = empty({steps, batch, 3, 3}, kept.largest, Layout::planar, ScalarType::Float);
-  Tensors results = run_listed_steps(kept, color::in_pixel_rows(images, kept.layout), operation, value, 0, steps,
-                                     matrices, measured_of(kept.largest, kMeasured));
-  results.push_back(matrices);
+  ListedSteps const steps(kept, images, operation, value);
+  std::optional<ImageBlock> between;
+  if (operation.size(1) > 1) between.emplace(kept, steps.results);
+  steps.run(0, operation.size(1), steps.results, between ? between->images : Listed{});
+  Tensors results = kept.results;
+  results.push_back(steps.matrices);
   return results;
 }
 
@@ -178,27 +214,22 @@ Tensors mix_operations_list(Tensors const& images, Tensor const& operation, Tens
   Tensor const& like = kept.largest;
   check_arguments(op, like, operation, value, true);
   size_t const count = images.size();
-  int64_t const batch = int64_t(count), steps = operation.size(1);
-  KV_CHECK(weights.dim() == 2 && weights.size(0) == batch && weights.size(1) > 1 &&
+  KV_CHECK(weights.dim() == 2 && weights.size(0) == int64_t(count) && weights.size(1) > 1 &&
                weights.scalar_type() == ScalarType::Float && weights.device() == like.device(),
            op, ": expected float32 weights of shape (B, 1 + chains)");
-  int64_t const chains = weights.size(1) - 1, depth = steps / chains;
-  KV_CHECK(depth * chains == steps, op, ": expected chains of as many operations each");
-  geometry::ListSizes const sizes(op, kept.sides, count);
-  Tensors const dense = color::in_pixel_rows(images, kept.layout);
-  Tensors const results = geometry::empty_list(like, kImageChannels, sizes, count, kept.layout);
-  Tensor const matrices = empty({steps, batch, 3, 3}, like, Layout::planar, ScalarType::Float);
-  Tensor const measured = measured_of(like, kMeasured);
-  int64_t const length = chains > 1 ? geometry::offsets_in_block(kImageChannels, sizes, count)[count] : 0;
-  Tensor const sums = empty({length}, like, Layout::planar, ScalarType::Float);
+  int64_t const chains = weights.size(1) - 1, depth = operation.size(1) / chains;
+  KV_CHECK(depth * chains == operation.size(1), op, ": expected chains of as many operations each");
+  ListedSteps const steps(kept, images, operation, value);
+  geometry::ListSizes const sizes = steps.sizes();
+  ImageBlock const of_chain(kept, steps.results), between(kept, steps.results);
+  Tensor const sums = empty({of_chain.memory.size(0)}, like, Layout::planar, ScalarType::Float);
   for (int64_t chain = 0; chain < chains; ++chain) {
-    Tensors const of_chain =
-        run_listed_steps(kept, dense, operation, value, chain * depth, (chain + 1) * depth, matrices, measured);
+    steps.run(chain * depth, (chain + 1) * depth, of_chain.images, between.images);
     dispatch_joined(op, like, [&]<class T>(Type<T>) {
       MixOperations<T> p;
       p.list.interleaved = kept.interleaved();
-      p.results = data_ptr<T const>(results[0]);
-      p.chains = data_ptr<T const>(of_chain[0]);
+      p.results = static_cast<T const*>(steps.results[0].data);
+      p.chains = data_ptr<T const>(of_chain.memory);
       p.sums = data_ptr<float>(sums);
       p.weight_stride = weights.stride(0);
       p.is_first = chain == 0, p.is_last = chain + 1 == chains;
@@ -211,11 +242,11 @@ Tensors mix_operations_list(Tensors const& images, Tensor const& operation, Tens
         KV_RUN(mix_operations_list, like, p, p.list.items, kMixedValues);
       };
       geometry::for_each_table(
-          p.list, count, [&](size_t b) { return listed(dense[b]); }, [&](size_t b) { return listed(results[b]); },
+          p.list, count, [&](size_t b) { return steps.images[b]; }, [&](size_t b) { return steps.results[b]; },
           items_of, run);
     });
   }
-  return results;
+  return kept.results;
 }
 
 // One step, whose results have gradients; operation and value are (B,). Returns the results and the matrices (B, 3, 3).

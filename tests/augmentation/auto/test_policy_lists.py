@@ -39,7 +39,7 @@ def test_each_image_gets_what_it_gets_alone(name, dtype, layout, device):
         y = augment(x[None], seed=seeds[b : b + 1])
         assert torch.equal(results[b], y[0]) and torch.equal(x, before[b])
         assert results[b].stride() == y[0].stride() or 1 in y.shape
-        assert_close(matrices[b], augment.transform_matrix[0].to(device))
+        assert_close(matrices[b].to(device), augment.transform_matrix[0].to(device))
         assert_close(back[b], augment.inverse(y)[0])
         for item, own in zip(params, augment._params):
             assert all(torch.equal(item.data[key][b], own.data[key][0]) for key in ("operation", "magnitude"))
@@ -157,7 +157,7 @@ def test_in_containers_with_labels(name, device):
         own = (images[b][None], [masks[b]], [boxes[b]], [points[b]])
         alone = augment(*own, seed=seeds[b : b + 1])
         assert all(torch.equal(of_list[b], y[0]) for of_list, y in zip(results, alone))
-        assert_close(matrices[b], augment.transform_matrix[0].to(device))
+        assert_close(matrices[b].to(device), augment.transform_matrix[0].to(device))
     again = augment(*inputs, params=params)
     assert all(torch.equal(a, b) for of, given in zip(results, again) for a, b in zip(of, given))
 

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple, get_args
 
 import torch
 from torch import Generator, Tensor
+from torch.compiler import is_compiling
 
 from kvision import _check
 from kvision._choices import MatrixMode
@@ -141,7 +142,9 @@ class PolicyAugmentBase(ImageSequential):
         """What the columns (B, P) of the request say."""
         top, table = float(max(self._top_level, 1)), self._table
         if table.device != columns.device:
-            table = self._table = table.to(columns.device)
+            table = table.to(columns.device)
+            if not is_compiling():  # a graph changes no settings
+                self._table = table
         if _choose_operations.serves(columns):
             return Drawn(*_choose_operations.kernel(columns, table, self.count, top))
         columns = columns.unflatten(1, (self.count, 1 + 3 * self._length))

@@ -106,7 +106,8 @@ class Record:
         **values: Any,
     ) -> None:
         self._shape, self.children, self.stages = shape, children, stages or Chain()
-        self.__dict__.update(values)
+        for name, value in values.items():  # torch 2.11 does not trace an update of __dict__
+            setattr(self, name, value)
 
     @property
     def shape(self) -> tuple[int, ...] | None:

@@ -45,12 +45,8 @@ class PolicyParts(Parts):
     def rows(self) -> list[list[int]]:  # type: ignore[override]
         return [[b] for b in range(self.count)]
 
-    @property
-    def shape(self) -> tuple[int, ...]:
-        return self._shape
-
     @cached_property
-    def calls(self) -> list[Any]:  # type: ignore[override]
+    def calls(self) -> list[Any]:
         return [self._record(b) for b in range(self.count)]
 
     def _record(self, b: int) -> Record:

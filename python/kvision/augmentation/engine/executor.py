@@ -77,7 +77,7 @@ class Executor(Declaration):
         kept: tuple[DrawPlan | None] | None = self._plans.get(key)
         if kept is not None:
             return kept[0]
-        request = self._request(shape) if self.p > 0 and self.p_batch > 0 else None
+        request = self._request(shape) if may_apply(self, False) else None
         draws = None if request is None else plan_draws([request], has_seed)[0]
         if draws is None or draws.learned is None:
             self._plans.keep(key, (draws,))
@@ -264,8 +264,7 @@ class Executor(Declaration):
         if plan is None:
             shape = tuple(x.shape)
             draws = self._draws(shape, has_seed)
-            decides = self.whole_batch and 0 < self.p_batch < 1  # on the host, in each call
-            applied = not decides and self._applies(None, 0)
+            applied = not decides(self) and self._applies(None, 0)
             span = None if draws is None else draws.spans[0]
             # Derived columns do not follow from the draws alone, so that no pass is planned with these.
             image_pass = None
@@ -414,3 +413,13 @@ class Executor(Declaration):
         """The matrices of a call that has kept none."""
         identity = self.identity_matrix(execution.shape)
         return identity if execution.identity is None else identity.to(*execution.identity)
+
+
+def decides(module: Executor) -> bool:
+    """Whether the host decides in each call if a batch is augmented, whose size changes."""
+    return module.whole_batch and 0 < module.p_batch < 1
+
+
+def may_apply(module: Executor, is_certain: bool) -> bool:
+    """Whether a call may augment anything, by the chances of its module."""
+    return is_certain or (module.p > 0 and module.p_batch > 0)

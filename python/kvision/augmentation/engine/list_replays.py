@@ -13,15 +13,10 @@ from torch.compiler import is_compiling
 from kvision._constants import on_device
 from kvision._dtype import compute_dtype
 from kvision.augmentation.engine.call_context import CallContext
-from kvision.augmentation.engine.execution import Execution
 from kvision.augmentation.engine.list_calls import SIZES, params_of_rows
 from kvision.augmentation.engine.list_runs import (
     ListParts,
-    NumbersOfEach,
-    Sized,
-    SizedNumbers,
     count_list_steps,
-    find_sized,
     grouped,
     record_of_run,
     run_list,
@@ -30,7 +25,8 @@ from kvision.augmentation.engine.list_runs import (
 )
 from kvision.augmentation.engine.passes import Alone, Running, Step, plan_steps
 from kvision.augmentation.engine.record import Child, Record
-from kvision.augmentation.engine.runs import Call, replayed, runs_of
+from kvision.augmentation.engine.runs import replayed, runs_of
+from kvision.augmentation.engine.sized import NumbersOfEach, Sized, SizedNumbers, find_sized
 from kvision.augmentation.transforms import Transform
 from kvision.geometry.transform.lists.arguments import like_batch
 
@@ -98,7 +94,8 @@ def replay_list(images: list[Tensor], children: Sequence[Child], context: CallCo
         own = on_device(replay.numbers.of_each(images).to(compute_dtype(like)), like.device)
         width = 0 if columns is None else columns.shape[1]
         columns = own if columns is None else torch.cat([columns.to(own), own], 1)
-        chains = replay.sized.bound(modules, [_call(execution) for execution in executions], width)
+        spans = [None if execution.columns is None else execution.columns.span for execution in executions]
+        chains = replay.sized.bound(modules, spans, width)
     steps = plan_steps(modules, executions, context.once, first.dtype, context.output, chains)
     if not all(_takes_list(step, modules, first.dtype) for step in steps):
         return None
@@ -131,11 +128,6 @@ def _replay_groups(
         for i, result in zip(samples, y):
             results[i] = result
     return results
-
-
-def _call(execution: Execution) -> Call:
-    span = None if execution.columns is None else execution.columns.span
-    return Call(execution.shape, execution.applied, False, None, span)
 
 
 def _make(

@@ -6,7 +6,7 @@ draw what a batch draws.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -16,16 +16,17 @@ from torch import Tensor
 from kvision._constants import on_device
 from kvision._dtype import compute_dtype
 from kvision.augmentation import labels
-from kvision.augmentation.columns import Column, Columns, Span, plan_draws
-from kvision.augmentation.draws import SIZED, Request
+from kvision.augmentation.columns import Columns, Span, plan_draws
+from kvision.augmentation.draws import SIZED
 from kvision.augmentation.engine.call_context import CallContext
 from kvision.augmentation.engine.call_labels import CallLabels
 from kvision.augmentation.engine.execution import Execution, ListExecution, Params, matrix_type
 from kvision.augmentation.engine.list_calls import SIZES
 from kvision.augmentation.engine.record import Child
+from kvision.augmentation.engine.sized import NumbersOfEach, Reading, Sized, SizedNumbers, listed
 from kvision.augmentation.engine.stages import Applied, MaskReading, Warp
 from kvision.augmentation.maps import exact, warp_each
-from kvision.augmentation.transforms import Transform, transform_matrix
+from kvision.augmentation.transforms import transform_matrix
 from kvision.core.exceptions import ShapeError
 from kvision.geometry.transform.lists.arguments import like_batch
 from kvision.geometry.transform.lists.arguments import sizes as sides_of
@@ -35,17 +36,10 @@ class ListPlan(NamedTuple):
     """What an augmentation does to images of any sizes, of which all results have one."""
 
     size: tuple[int, int]  # of the results
-    numbers: (
-        list[float] | None
-    )  # of all draws, but for the sizes in those of SIZED; None if others depend on the size, too
-    sizes_at: list[int]  # where the heights are among the numbers, before the widths
-    chain: Sequence[Transform] | None  # of the matrix; None if it depends on the size
-    has_least_size: bool  # smaller images are refused where it draws for them
-
-    @property
-    def only_windows_differ(self) -> bool:
-        """Whether draws and matrix have nothing of an image but its size, where windows of it are drawn."""
-        return self.numbers is not None and self.chain is not None
+    sized: Sized
+    draws: SizedNumbers | NumbersOfEach | None  # the numbers of its draws that depend on the size
+    inputs: SizedNumbers | NumbersOfEach | None  # and those of its matrix
+    only_windows_differ: bool  # draws and matrix have nothing of an image but its size, where windows of it are drawn
 
 
 def list_plan(module: Any) -> ListPlan | None:
@@ -62,46 +56,14 @@ def _list_plan(module: Any) -> ListPlan | None:
     shapes, flags = [(1, 3, *size) for size in SIZES], module.flags
     if not module.whole_batch or module.p_batch < 1 or module.matrix_transforms(shapes[0], flags) is None:
         return None
-    first, second = (tuple(module.output_size(shape, flags)) for shape in shapes)
-    if first != second:
+    height, width = module.output_size(shapes[0], flags)
+    if (height, width) != tuple(module.output_size(shapes[1], flags)):
         return None
-    chains = [module.matrix_transforms(shape, flags) for shape in shapes]
-    formulas = [[(transform.kind, transform.inputs) for transform in chain] for chain in chains]
-    rows, sizes_at = [_numbers(module._request(shape)) for shape in shapes], []
-    for at, draw in _numbered(module._request(shapes[0])):
-        if draw.kind in SIZED:
-            sizes_at.append(at + len(draw.numbers) - 2)
-    for row in rows:
-        for at in sizes_at:
-            row[at : at + 2] = rows[0][at : at + 2]
-    numbers = rows[0] if rows[0] == rows[1] else None
-    return ListPlan(
-        (int(first[0]), int(first[1])),
-        numbers,
-        sizes_at,
-        chains[0] if formulas[0] == formulas[1] else None,
-        _has_least_size(module),
-    )
-
-
-def _has_least_size(module: Any) -> bool:
-    try:
-        module._request((1, 3, 1, 1))
-    except ValueError:
-        return True
-    return False
-
-
-def _numbered(request: Request | None) -> Iterator[tuple[int, Any]]:
-    """The draws of a request, each with the position of its numbers."""
-    at = 2
-    for draw in request.draws if request else ():
-        yield at, draw
-        at += len(draw.numbers)
-
-
-def _numbers(request: Request | None) -> list[float]:
-    return [] if request is None else [request.p, request.p_batch, *(n for draw in request.draws for n in draw.numbers)]
+    sized = Sized(Reading([module], [True], 1, 3, CallContext.of_module("", None, None)), 0, ())
+    draws = zip(*map(sized.reading.draws, SIZES))
+    only_windows = all(a == b or (a.kind in SIZED and a.numbers[:-2] == b.numbers[:-2]) for a, b in draws)
+    numbers = sized.numbers(has_inputs=False), sized.numbers(has_draws=False)
+    return ListPlan((int(height), int(width)), sized, *numbers, only_windows and not sized.count)
 
 
 # --- the call -------------------------------------------------------------------------------------------------------
@@ -186,27 +148,16 @@ class ListCall:
         return [(*self._batch, h, w) for h, w in zip(self.sides[::2], self.sides[1::2])]
 
     def listed_draws(self) -> tuple[Sequence[int], list[float]]:
-        """The draws of the augmentation, by their positions, and their numbers for the first image, the second, ..."""
-        draws = range(len(self.module._request((*self._batch, *self.sides[:2])).draws))
-        if self.plan.numbers is None:
-            return draws, [number for shape in self.shapes for number in _numbers(self.module._request(shape))[2:]]
-        if self.plan.has_least_size:
-            for shape in set(self.shapes):
-                self.module._request(shape)
-        own = self.plan.numbers[2:]
-        numbers = own * self._batch[0]
-        for at in self.plan.sizes_at:
-            numbers[at - 2 :: len(own)] = self.sides[::2]
-            numbers[at - 1 :: len(own)] = self.sides[1::2]
-        return draws, numbers
+        """The draws that depend on the size, by their positions, and their numbers for the first image, the second, ..."""
+        numbers = self.plan.draws
+        return self.plan.sized.draws, [] if numbers is None else listed(numbers, self.sides)
 
     def with_sizes(self, columns: Tensor | None, like: Tensor) -> Tensor | None:
-        """Columns (B, P), and behind them what :func:`chain_of_list` reads."""
-        if self.plan.chain is not None:
+        """Columns (B, P), and behind them the inputs of the matrix that depend on the size."""
+        if self.plan.inputs is None:
             return columns
-        flags = self.module.flags
-        rows = [_numbers_in(self.module.matrix_transforms(shape, flags)) for shape in self.shapes]
-        own = on_device(torch.tensor(rows, dtype=compute_dtype(like), device="cpu"), like.device)
+        numbers = torch.tensor(listed(self.plan.inputs, self.sides), dtype=compute_dtype(like), device="cpu")
+        own = on_device(numbers.view(self._batch[0], -1), like.device)
         return own if columns is None else torch.cat([columns.to(own.dtype), own], 1)
 
     def execution(
@@ -233,33 +184,12 @@ class ListCall:
         """The matrices (B, 3, 3)."""
         columns, span = self.columns.drawn.to(self.dtype), self.columns.span
         values = columns if span.width == columns.shape[1] else columns[:, span.first : span.first + span.width]
-        own = Span(0, span.width, span.has_chosen)
-        chain = chain_of_list(self.module, own, values.shape[1]) or self.module._bound(self.plan.chain or (), own)
+        own, sized = Span(0, span.width, span.has_chosen), self.plan.sized
+        (chain,) = sized.reading.chains(SIZES[0])
+        bound = sized.bound([self.module], [own], values.shape[1]) or {0: self.module._bound(chain, own)}
         with_sizes = self.with_sizes(values, values)
         assert with_sizes is not None
-        return transform_matrix(with_sizes, chain)
-
-
-def _numbers_in(chain: Sequence[Transform]) -> list[float]:
-    """The inputs of transforms that are no columns."""
-    return [x for transform in chain for x in transform.inputs if isinstance(x, (int, float))]
-
-
-def chain_of_list(module: Any, span: Span | None, columns: int) -> list[Transform] | None:
-    """The chain of an augmentation with columns behind `columns` others in place of its numbers, where these depend on the size of
-    the image; None where none does.
-    """
-    plan = list_plan(module)
-    if plan is None or plan.chain is not None:
-        return None
-    chain = []
-    for transform in module._bound(module.matrix_transforms((1, 3, *SIZES[0]), module.flags), span):
-        inputs: list[Column] = []
-        for x in transform.inputs:
-            inputs.append(x if isinstance(x, Column) else Column(columns))
-            columns += not isinstance(x, Column)
-        chain.append(Transform(transform.kind, *inputs))
-    return chain
+        return transform_matrix(with_sizes, bound[0])
 
 
 def execute_list(

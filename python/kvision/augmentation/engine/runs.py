@@ -18,7 +18,7 @@ decided once for them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -34,14 +34,13 @@ from kvision.augmentation.engine.call_context import CallContext
 from kvision.augmentation.engine.configuration import Plans
 from kvision.augmentation.engine.declaration import size_of
 from kvision.augmentation.engine.execution import Execution, Shape, matrix_type
-from kvision.augmentation.engine.executor import Executor
+from kvision.augmentation.engine.executor import Executor, decides, may_apply
 from kvision.augmentation.engine.list_calls import SIZES
-from kvision.augmentation.engine.lists import ListCall, ListWarp, chain_of_list, execute_list, list_plan
+from kvision.augmentation.engine.lists import ListCall, ListWarp, execute_list, list_plan
 from kvision.augmentation.engine.passes import Alone, Joined, Running, Step, plan_steps
 from kvision.augmentation.engine.record import Child
 from kvision.augmentation.engine.stages import Applied, Stage
 from kvision.augmentation.keys import Keys, check_seeds
-from kvision.augmentation.transforms import Transform
 from kvision.augmentation.warp_and_color import SAME, frames_pass
 from kvision.augmentation.warp_and_color_list import warp_and_color_list
 from kvision.color.frames import Frames
@@ -134,19 +133,14 @@ def _list_plan(images: list[Tensor], run: Sequence[Child], context: CallContext,
     is_decided = any(decides(m) or m._derives for m in modules)
     if is_decided or context.frames > 1 or context.owners is not None or context.is_certain:
         return None
-    x = images[0].detach().new_empty(1).expand(len(images), images[0].shape[0], *SIZES[0])
-    plan, _ = plan_run(x, modules, context, position, _first_chain)
+    x, first = images[0].detach().new_empty(1).expand(len(images), images[0].shape[0], *SIZES[0]), list_plan(modules[0])
+    assert first is not None  # of what makes the list a batch
+    plan, _ = plan_run(x, modules, context, position, first.sized.bound)
     step = plan.steps[0] if plan.steps else None
     is_joined = isinstance(step, Joined) and len(step.geometric) > 0 and step.geometric[0] == 0
     if not is_joined or len(plan.draws) > 1 or any(draws.learned is not None for draws in plan.draws):
         return None
     return plan
-
-
-def _first_chain(modules: Sequence[Executor], calls: Sequence[Call], columns: int) -> Mapping[int, Sequence[Transform]]:
-    """The chain of the first augmentation of a list, where it reads what depends on the sizes from columns behind `columns`."""
-    chain = chain_of_list(modules[0], calls[0].span, columns)
-    return {} if chain is None else {0: chain}
 
 
 def _execute_list_run(
@@ -380,16 +374,6 @@ def _kept_plan(x: Tensor, run: Sequence[Child], context: CallContext, position: 
     return plan, keys
 
 
-def decides(module: Executor) -> bool:
-    """Whether the host decides in each call if a batch is augmented, whose size changes."""
-    return module.whole_batch and 0 < module.p_batch < 1
-
-
-def may_apply(module: Executor, is_certain: bool) -> bool:
-    """Whether a call may augment anything, by the chances of its module."""
-    return is_certain or (module.p > 0 and module.p_batch > 0)
-
-
 def with_derived(
     modules: Sequence[Executor],
     executions: Sequence[Execution],
@@ -428,7 +412,7 @@ def plan_run(
 ) -> tuple[RunPlan, Keys | None]:
     """The plan of a run. If it depends on keys, these are drawn and returned for all requests; otherwise they are None.
 
-    Where x stands for a list, `chains_of_list(modules, calls, columns)` gives chains by the numbers of augmentations, which read
+    Where x stands for a list, `chains_of_list(modules, spans, columns)` gives chains by the numbers of augmentations, which read
     what depends on the sizes from columns behind those that are drawn.
     """
     has_seed, has_owners = context.seed is not None, context.owners is not None
@@ -462,7 +446,7 @@ def plan_run(
         Execution(call.shape, None if call.span is None else Columns(x, call.span), applied=call.applies)
         for call in calls
     ]  # of their spans only
-    chains = {} if chains_of_list is None else chains_of_list(modules, calls, width)
+    chains = {} if chains_of_list is None else chains_of_list(modules, [call.span for call in calls], width)
     steps = plan_steps(modules, planned, context.once, x.dtype, context.output, chains)
     derives = any(call.derived_from is not None for call in calls)
     plan = RunPlan(calls, draws, drawing, steps, first, derives)

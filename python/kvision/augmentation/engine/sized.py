@@ -1,0 +1,277 @@
+"""What augmentations draw, and the inputs of their matrices, that depend on the size of an image: numbers of each image of a list.
+
+They are found by asking the augmentations for images of a few sizes: linear functions of height and width, or numbers that are
+read for each size.
+"""
+
+from __future__ import annotations
+
+import math
+from array import array
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import cached_property, lru_cache, partial
+from itertools import chain
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+from torch.compiler import is_compiling
+
+from kvision.augmentation.columns import Column, Span
+from kvision.augmentation.draws import Draw
+from kvision.augmentation.engine.call_context import CallContext
+from kvision.augmentation.engine.execution import Shape
+from kvision.augmentation.engine.executor import may_apply
+from kvision.augmentation.engine.list_calls import SIZES
+from kvision.augmentation.transforms import Transform
+from kvision.geometry.transform.lists.arguments import sizes as sides_of
+
+Size = tuple[int, ...]
+_CORNERS = ((64, 64), (128, 64), (64, 128))  # sizes from which linear functions follow; at the others they are compared
+_ANY = 2  # images of a batch, on which nothing here depends
+_SQUARE = (SIZES[0][0], SIZES[0][0])  # may be drawn for in another way
+_KNOWN = 4096  # sizes of which numbers are kept
+_PROBES = (*SIZES, *_CORNERS, _SQUARE, (1, 1), (3, 1000), (641, 427))
+
+
+class SizedNumbers(NamedTuple):
+    """Numbers that are linear functions of the size of an image."""
+
+    constant: Sequence[float]
+    of_height: Sequence[float]
+    of_width: Sequence[float]
+
+    @classmethod
+    def of(cls, read: Callable[[Size], Sequence[float]]) -> SizedNumbers | None:
+        """Those that `read` gives for a size; None if they are no linear functions."""
+        try:
+            rows = [read(size) for size in _PROBES]
+        except ValueError:  # of images that are too small
+            return None
+        side, numbers, corners = _CORNERS[0][0], [], len(SIZES)
+        for first, higher, wider in zip(*rows[corners : corners + 3]):
+            of_height, of_width = (higher - first) / side, (wider - first) / side
+            numbers.append((first - side * of_height - side * of_width, of_height, of_width))
+        found = cls(*(tuple(column) for column in zip(*numbers)))
+        is_linear = all(
+            math.isclose(a, b, rel_tol=1e-14, abs_tol=1e-12)
+            for size, row in zip(_PROBES, rows)
+            for a, b in zip(found.at(*size), row)
+        )
+        return found if is_linear else None
+
+    def at(self, height: int, width: int) -> list[float]:
+        """The numbers for a size."""
+        return [a + height * b + width * c for a, b, c in zip(self.constant, self.of_height, self.of_width)]
+
+    def of_each(self, images: Sequence[Tensor]) -> Tensor:
+        """The numbers (B, N) for the size of each image, float64 on the CPU."""
+        return self.of_sides(sides_of(images))
+
+    def of_sides(self, sides: Sequence[int]) -> Tensor:
+        """The same for height and width of each image."""
+        own = torch.tensor(sides, dtype=torch.float64, device="cpu").view(-1, 2, 1)
+        a, b, c = self.linear()
+        return a + own[:, 0] * b + own[:, 1] * c
+
+    def linear(self) -> Tensor:
+        """The three rows (3, N), float64 on the CPU."""
+        return torch.tensor(self, dtype=torch.float64, device="cpu")
+
+
+class NumbersOfEach:
+    """Numbers that are read for the size of each image, once for those of many images.
+
+    Args:
+        sized: what reads them.
+        what: the arguments of :meth:`Sized.numbers_at` before the size.
+    """
+
+    def __init__(self, sized: Sized, what: tuple[bool, bool, Sequence[int]]) -> None:
+        self._sized, self._what = sized, what  # and no function of both, which a graph cannot keep
+
+    @cached_property
+    def _at_size(self) -> Callable[[Size], Sequence[float]]:  # made in calls, as a graph cannot make it
+        return lru_cache(_KNOWN)(partial(self._sized.numbers_at, *self._what))
+
+    def at(self, height: int, width: int) -> Sequence[float]:
+        """The numbers for a size."""
+        return self._sized.numbers_at(*self._what, (height, width))
+
+    def of_each(self, images: Sequence[Tensor]) -> Tensor:
+        """The numbers (B, N) for the size of each image, float64 on the CPU."""
+        return self._of_sizes(x.shape[-2:] for x in images)
+
+    def of_sides(self, sides: Sequence[int]) -> Tensor:
+        """The same for height and width of each image."""
+        return self._of_sizes(zip(sides[::2], sides[1::2]))
+
+    def _of_sizes(self, sizes: Iterable[Size]) -> Tensor:
+        rows = list(map(self._at_size, sizes))
+        if not rows[0]:
+            return torch.empty(len(rows), 0, dtype=torch.float64, device="cpu")
+        # The tensor is one of memory, as torch converts the entries of lists one by one.
+        return torch.frombuffer(array("d", chain.from_iterable(rows)), dtype=torch.float64).view(len(rows), -1)
+
+
+class Reading:
+    """What augmentations draw, and the formulas of their matrices, for a size of images, of those that are `applied`."""
+
+    def __init__(
+        self, modules: Sequence[Any], applied: Sequence[bool], batch: int, channels: int, context: CallContext
+    ) -> None:
+        self.modules, self.applied, self.shape = modules, applied, (batch, channels)
+        self.is_certain, self.has_owners = context.is_certain, context.owners is not None
+
+    def shapes(self, size: Size) -> list[Shape]:
+        """The shapes of the images before each augmentation, and behind the last one."""
+        shapes: list[Shape] = [(*self.shape, *size)]
+        for module, is_applied in zip(self.modules, self.applied):
+            shapes.append(module.output_shape(shapes[-1], module.flags) if is_applied else shapes[-1])
+        return shapes
+
+    def draws(self, size: Size) -> list[Any]:
+        """Those of all augmentations, as `plan_run` asks for them."""
+        requests = [
+            m._request(shape, self.is_certain, self.has_owners)
+            for m, shape in zip(self.modules, self.shapes(size))
+            if may_apply(m, self.is_certain)
+        ]
+        return [draw for request in requests if request is not None for draw in request.draws]
+
+    def chains(self, size: Size) -> list[Sequence[Transform]]:
+        """The formulas of each augmentation; none of one without a matrix."""
+        chains = [
+            m.matrix_transforms(shape, m.flags) if is_applied and hasattr(m, "matrix_transforms") else ()
+            for m, is_applied, shape in zip(self.modules, self.applied, self.shapes(size))
+        ]
+        return [() if chain is None else chain for chain in chains]
+
+
+class Sized:
+    """The draws and the inputs of matrices that depend on the size of an image, among those of augmentations.
+
+    `own` of these give images sizes of their own, those in `sizing` others than the images have, and the next one all the same.
+    """
+
+    def __init__(self, reading: Reading, own: int, sizing: Sequence[int]) -> None:
+        self.reading, self.own, self.sizing = reading, own, sizing
+        probes = _valid(reading.draws)
+        self.may_be_too_small = len(probes) < len(_PROBES)  # images, which reading says
+        draws = [own for _, own in probes]
+        self.has_same_draws = all([_kind(a) for a in own] == [_kind(a) for a in draws[0]] for own in draws)
+        self.draws = [i for i, (first, *others) in enumerate(zip(*draws)) if any(a != first for a in others)]
+        chains = [reading.chains(size) for size, _ in probes]
+        forms = [[[(t.kind, len(t.inputs)) for t in chain] for chain in of_size] for of_size in chains]
+        self.has_same_forms = all(form == forms[0] for form in forms)
+        # Of each augmentation pairs of a transform and an input, by their numbers.
+        self.inputs = [
+            [
+                (i, k)
+                for i, transforms in enumerate(zip(*of_sizes))
+                for k, (first, *others) in enumerate(zip(*[t.inputs for t in transforms]))
+                if any(x != first for x in others)
+            ]
+            for of_sizes in zip(*chains)
+        ]
+        self.count = sum(map(len, self.inputs))
+        self._sizes_after: dict[Size, Callable[[Size], Size]] = {}
+
+    def numbers(
+        self, has_draws: bool = True, has_inputs: bool = True, then: Sequence[int] = ()
+    ) -> SizedNumbers | NumbersOfEach | None:
+        """What depends on the size, as numbers of each image: those of the draws, then the inputs, and height and width behind
+        augmentations by their numbers; None for none.
+        """
+        count = self.count if has_inputs else 0
+        if not count and not then and not (has_draws and (self.draws or self.may_be_too_small)):
+            return None
+        what = (has_draws, has_inputs, then)
+        return SizedNumbers.of(partial(self.numbers_at, *what)) or NumbersOfEach(self, what)
+
+    def numbers_at(self, has_draws: bool, has_inputs: bool, then: Sequence[int], size: Size) -> list[float]:
+        """Those for a size."""
+        draws = self.reading.draws(size) if has_draws else []
+        numbers = [n for i in self.draws for n in draws[i].numbers] if has_draws else []
+        for formulas, inputs in zip(self.reading.chains(size), self.inputs if has_inputs else ()):
+            numbers += [formulas[i].inputs[k] for i, k in inputs]
+        return [*numbers, *self._size_after(then, size)] if then else numbers
+
+    def changes(self, numbers: Sequence[int]) -> bool:
+        """Whether augmentations by their numbers give images sizes of their own, which are others than they have."""
+        return any(number in self.sizing for number in numbers)
+
+    def sizes_after(self, numbers: Sequence[int], images: Sequence[Tensor]) -> list[int]:
+        """Height and width of each image behind augmentations by their numbers."""
+        if is_compiling():
+            return [n for x in images for n in self._size_after(numbers, x.shape[-2:])]
+        known = self._sizes_after.setdefault(tuple(numbers), lru_cache(_KNOWN)(partial(self._size_after, numbers)))
+        return [n for x in images for n in known(x.shape[-2:])]
+
+    def _size_after(self, numbers: Sequence[int], size: Size) -> Size:
+        shape: Shape = (*self.reading.shape, *size)
+        for number in numbers:
+            module = self.reading.modules[number]
+            shape = module.output_shape(shape, module.flags)
+        return shape[2:]
+
+    def bound(
+        self, modules: Sequence[Any], spans: Sequence[Span | None], columns: int
+    ) -> Mapping[int, Sequence[Transform]]:
+        """The chains, by the numbers of augmentations, with columns behind `columns` others in place of their inputs."""
+        bound: dict[int, Sequence[Transform]] = {}
+        for number, (formulas, inputs) in enumerate(zip(self.reading.chains(SIZES[0]), self.inputs)):
+            own = {place: Column(columns + i) for i, place in enumerate(inputs)}
+            columns += len(own)
+            if own:
+                with_columns = [
+                    Transform(t.kind, *[own.get((i, k), x) for k, x in enumerate(t.inputs)])
+                    for i, t in enumerate(formulas)
+                ]
+                bound[number] = modules[number]._bound(with_columns, spans[number])
+        return bound
+
+
+def listed(numbers: SizedNumbers | NumbersOfEach, sides: Sequence[int]) -> list[float]:
+    """The numbers for height and width of the first image, the second, ..."""
+    if is_compiling():  # a graph has no numbers of tensors
+        return [n for size in zip(sides[::2], sides[1::2]) for n in numbers.at(*size)]
+    return numbers.of_sides(sides).flatten().tolist()
+
+
+def _valid(read: Callable[[Size], Any]) -> list[tuple[Size, Any]]:
+    """What `read` gives for those sizes of images that are not too small."""
+    known = []
+    for size in _PROBES:
+        try:
+            known.append((size, read(size)))
+        except ValueError:
+            pass
+    return known
+
+
+def _kind(draw: Any) -> Any:
+    return (draw.kind, draw.columns) if isinstance(draw, Draw) else None
+
+
+def find_sized(modules: Sequence[Any], applied: Sequence[bool], channels: int, context: CallContext) -> Sized | None:
+    """What depends on the sizes of images; None for what is no run on a list."""
+    if any(m.mixes_samples or not m.takes_lists for m in modules):
+        return None
+    for number, module in enumerate(modules):
+        moves = not all(m.keeps_positions for m in modules[:number])
+        if module.reads_labels is not None and (moves or not (module.reads_labels == "boxes" or module.needs_masks)):
+            return None  # labels are read as the call has them
+    of_sizes = [own for _, own in _valid(Reading(modules, applied, _ANY, channels, context).shapes)]
+    if any(shape[:2] != (_ANY, channels) for shapes in of_sizes for shape in shapes):
+        return None
+    own, sizing = len(modules), []
+    for number in range(len(modules)):
+        before, after = zip(*[(shapes[number], shapes[number + 1]) for shapes in of_sizes])
+        if all(shape == after[0] for shape in after):
+            own = number
+            break
+        if after != before:
+            sizing.append(number)
+    sized = Sized(Reading(modules[: own + 1], applied, _ANY, channels, context), own, sizing)
+    return sized if sized.has_same_forms else None

@@ -269,6 +269,7 @@ int sobel(Sobel<T> const& p, CUstream_st* stream) {
   constexpr int P = kPixels<T>;
   bool const aligned = is_vectorizable<P>(p.x) && is_vectorizable<P>(p.y);
   if constexpr (sizeof(T) == 2)
+    // Special case, H200: 1.06 (335x513) to 1.39 (375x500) times as fast as strips, float16.
     if (!aligned && supports_groups<P, 1>(p.x)) {
       static int const resident = resident_blocks(sobel_groups<T>, kGroupThreads);
       ColumnGroups<P, kGroupThreads> const groups(p.x.count(), p.x.height, p.x.width, kGroupRows,

@@ -166,9 +166,29 @@ def test_equal_sizes_are_decided_for_as_one(device):
 
 
 @pytest.mark.tracing
-@pytest.mark.parametrize("kind", [partial(A.Pad, 2), partial(A.Transpose, p=1.0)], ids=["pad", "transpose"])
-def test_sizes_that_are_linear_functions_have_graphs(kind, device):
-    augment = kind()
+@pytest.mark.parametrize(
+    "augment",
+    [
+        A.Pad(2),
+        A.Transpose(p=1.0),
+        A.D4(p=1.0),
+        A.SmallestMaxSize(9),
+        A.LongestMaxSize(12, antialias=True),
+        A.PadIfNeeded(24, 30),
+        A.ImageSequential(A.PadIfNeeded(24, 30), A.D4(p=1.0), A.RandomInvert(p=1.0)),
+    ],
+    ids=lambda augment: type(augment).__name__,
+)
+def test_lists_of_sizes_of_their_own_have_graphs(augment, device):
+    from torch._dynamo.testing import CompileCounter
+
+    counter = CompileCounter()
+    torch._dynamo.reset()
+    compiled = torch.compile(lambda images: augment(images, seed=3), fullgraph=True, backend=counter)
+    for sizes in (((20, 30), (41, 17)), ((16, 19), (21, 18)), ((18, 28), (51, 40))):
+        images = pictures(device, sizes)
+        assert all(torch.equal(a, b) for a, b in zip(compiled(images), augment(images, seed=3), strict=True))
+    assert counter.frame_count <= 2
 
     def call(*images):
         return sum(y.square().sum() for y in augment(list(images), seed=3))

@@ -96,7 +96,7 @@ def _make_plan(
         changes = sized.changes(first.geometric)
         if draws is not None or changes:
             of_pass = sized.numbers(draws is not None, then=first.geometric) if changes else numbers
-            of_each = of_pass.of_each if isinstance(of_pass, NumbersOfEach) else _linear(of_pass)
+            of_each = of_pass if isinstance(of_pass, NumbersOfEach) else _linear(of_pass)
             own = draws or _NO_DRAWS
             drawn = DrawnListPass(own, places, of_each, changes, first.image_pass, like.shape, like.dtype)
     return _ListPlan(run, steps, sized, draws, places, numbers, drawn, sized_draws)
@@ -386,7 +386,7 @@ def _kept_plan(
     )
     key = ("list run", *own, *applied, *map(id, modules))
     plan: _ListPlan | None = context.plans.made(key, lambda: _make_plan(images, modules, applied, context))
-    return None if plan is not None and is_compiling() and isinstance(plan.numbers, NumbersOfEach) else plan
+    return plan
 
 
 def _execute(

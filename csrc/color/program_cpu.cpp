@@ -583,7 +583,7 @@ void run(Program<F> const& p, int64_t begin, int64_t end) {
   // 1.0 to 1.2 (normalize) times as fast, one thread.
   bool const one_channel = p.steps > 0 && outputs_one_channel(p.step[p.steps - 1]);
   bool const direct = !p.measures_mean && !p.has_order() && p.steps == 1 && (p.y.channels == C || one_channel) &&
-                      is_plain_chunk<C, F>(p.x, p.pixels) && is_plain_chunk<C, F>(p.y, p.pixels);
+                      p.x.channels == C && is_plain_chunk<C, F>(p.x, p.pixels) && is_plain_chunk<C, F>(p.y, p.pixels);
   if constexpr (sizeof(F) == 4)
     if (is_function_of_bytes(p)) return map_bytes(p, begin, end);
   bool in_registers = false;
@@ -591,7 +591,7 @@ void run(Program<F> const& p, int64_t begin, int64_t end) {
   auto const work = [&](Sample<F> const& s, int64_t b, int64_t first, int64_t count, int64_t part) {
     if constexpr (sizeof(F) == 4 && C == 3)
       if (in_registers && count >= kPartInts) return convert_bytes(p, s, b, first, count);
-    bool const reads = is_plain_chunk<C, F>(p.x, count) && s.length > 0 && !p.measures_mean;
+    bool const reads = p.x.channels == C && is_plain_chunk<C, F>(p.x, count) && s.length > 0 && !p.measures_mean;
     bool const writes =
         is_plain_chunk<C, F>(p.y, count) && s.length > 0 && !p.measures_mean && (p.y.channels == C || one_channel);
     if (!reads) load_chunk(p.x, C, b, first, count, F(0), c);

@@ -11,7 +11,6 @@ from augmentation.container.test_list_launches import calls
 from augmentation.test_lists import KEYS, assert_as_alone, assert_same, comparison, pictures, seeds_of
 from benchmarks.timing import launches
 from kvision import augmentation as A
-from op_tests import assert_close
 
 SIZES = ((16, 20), (24, 31), (16, 20), (27, 27), (40, 18))
 
@@ -189,11 +188,3 @@ def test_lists_of_sizes_of_their_own_have_graphs(augment, device):
         images = pictures(device, sizes)
         assert all(torch.equal(a, b) for a, b in zip(compiled(images), augment(images, seed=3), strict=True))
     assert counter.frame_count <= 2
-
-    def call(*images):
-        return sum(y.square().sum() for y in augment(list(images), seed=3))
-
-    images = [x.requires_grad_() for x in pictures(device, SIZES[:2])]
-    compiled = torch.compile(call, fullgraph=True, backend="aot_eager")
-    for a, b in zip(*(torch.autograd.grad(f(*images), images) for f in (call, compiled))):
-        assert_close(a, b)

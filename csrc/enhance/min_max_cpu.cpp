@@ -1,20 +1,10 @@
 // The range of planes on the CPU. Compiled once per instruction set.
-#include "core/lanes.h"
+#include "channels/flat_plane_cpu.h"
 #include "core/product.h"
 #include "min_max.h"
 
 namespace kv::enhance::KV_ISA {
 namespace {
-
-// Calls f(index constant N, element) for n pixels with stride `step`: whole vectors, then single elements.
-template <class T, class F>
-KV_HD void for_each_pixel(int64_t n, int64_t step, F f) {
-  constexpr int N = kLanes<T>;
-  int64_t i = 0;
-  if (step == 1)
-    for (; i + N <= n; i += N) f(Width<N>{}, i);
-  for (; i < n; ++i) f(Width<1>{}, i * step);
-}
 
 // The sum of a vector's lanes, in order.
 template <class V, int N>

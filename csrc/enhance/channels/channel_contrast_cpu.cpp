@@ -1,19 +1,9 @@
 // Contrast of channels on the CPU: planes [begin, end). Compiled once per instruction set.
 #include "channel_contrast.h"
-#include "core/lanes.h"
+#include "flat_plane_cpu.h"
 
 namespace kv::enhance::KV_ISA {
 namespace {
-
-// Calls f(index constant N, element) for n pixels with stride `step`: whole vectors, then single elements.
-template <class T, class F>
-KV_HD void for_each_pixel_of_row(int64_t n, int64_t step, F f) {
-  constexpr int N = kLanes<T>;
-  int64_t i = 0;
-  if (step == 1)
-    for (; i + N <= n; i += N) f(Width<N>{}, i);
-  for (; i < n; ++i) f(Width<1>{}, i * step);
-}
 
 // The sum of n numbers that value(index constant N, element) gives: in vectors of some hundred, these in double.
 template <class T, class Value>
@@ -28,7 +18,7 @@ KV_HD double sum_of_row(int64_t n, int64_t step, Value value) {
     some = Lanes<Compute<T>, N>{};
     pending = 0;
   };
-  for_each_pixel_of_row<T>(n, step, [&](auto width, int64_t i) KV_INLINE {
+  for_each_pixel<T>(n, step, [&](auto width, int64_t i) KV_INLINE {
     constexpr int M = decltype(width)::value;
     if constexpr (M == N && N > 1) {
       some = some + value(width, i);
@@ -57,7 +47,7 @@ void channel_contrast(ChannelContrast<T> const& p, int64_t begin, int64_t end) {
     T const* const x = p.x.plane(plane);
     T* const y = p.y.plane(plane);
     F const mean = mean_of_row(x, n, step);
-    for_each_pixel_of_row<T>(n, step, [&](auto width, int64_t i) KV_INLINE {
+    for_each_pixel<T>(n, step, [&](auto width, int64_t i) KV_INLINE {
       constexpr int M = decltype(width)::value;
       store<M>(y + i, p.mapped(Lanes<F, M>(load<M>(x + i)), mean));
     });
@@ -84,7 +74,7 @@ void channel_contrast_backward(ChannelContrastBackward<T> const& p, int64_t begi
       return p.before_clamp(Lanes<F, M>(load<M>(g + i)), Lanes<F, M>(load<M>(x + i)), mean);
     };
     F const of_mean = F(sum_of_row<T>(n, step, before_clamp) * double(1 - p.factor) / double(n));
-    for_each_pixel_of_row<T>(n, step, [&](auto width, int64_t i) KV_INLINE {
+    for_each_pixel<T>(n, step, [&](auto width, int64_t i) KV_INLINE {
       constexpr int M = decltype(width)::value;
       store<M>(grad_x + i, before_clamp(width, i) * p.factor + of_mean);
     });

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import cached_property
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 from kvision.augmentation.auto.operation_table import BILINEAR
-from kvision.augmentation.engine import ByMatrix, Chain, Parts, Record, Warp
-from kvision.geometry.transform.lists.arguments import largest_shape
+from kvision.augmentation.engine import ByMatrix, Chain, PartsOfImages, Record, Warp
 
 
 class Drawn(NamedTuple):
@@ -26,8 +24,8 @@ class Drawn(NamedTuple):
         return Drawn(*(None if t is None else t[b : b + 1] for t in self))  # type: ignore[arg-type]
 
 
-class PolicyParts(Parts):
-    """A call of a policy on a list: each image is a part, whose record is made when it is asked for.
+class PolicyParts(PartsOfImages):
+    """A call of a policy on a list.
 
     Args:
         op: of errors.
@@ -37,17 +35,8 @@ class PolicyParts(Parts):
     """
 
     def __init__(self, op: str, images: Sequence[Tensor], drawn: Drawn, matrices: Sequence[Tensor]) -> None:
-        self.op, self.count = op, len(images)
-        self._shapes, self._shape = [(1, *x.shape) for x in images], largest_shape(images)
+        super().__init__(op, images)
         self._drawn, self._matrices = drawn, matrices
-
-    @property
-    def rows(self) -> list[list[int]]:  # type: ignore[override]
-        return [[b] for b in range(self.count)]
-
-    @cached_property
-    def calls(self) -> list[Any]:
-        return [self._record(b) for b in range(self.count)]
 
     def _record(self, b: int) -> Record:
         """The call of one image."""
@@ -58,7 +47,7 @@ class PolicyParts(Parts):
     @property
     def _whole(self) -> Record:
         """The call, whose stages have no sizes."""
-        return Record(self._shape, (), Chain([ByMatrix(matrix) for matrix in self._matrices]), drawn=self._drawn)
+        return Record(self.shape, (), Chain([ByMatrix(matrix) for matrix in self._matrices]), drawn=self._drawn)
 
     def params(self, read: Callable[[Any], Any]) -> list[Any]:
         """The parameters of all images, which are read at once."""

@@ -58,7 +58,7 @@ from kvision.augmentation.engine.execution import (
     replaying,
 )
 from kvision.augmentation.engine.image_sequential import ImageSequential
-from kvision.augmentation.engine.list_calls import Parts
+from kvision.augmentation.engine.list_calls import PartsOfImages
 from kvision.augmentation.engine.patch_sequential import PatchSequential
 from kvision.augmentation.engine.record import Child, ParamItem, Record
 from kvision.augmentation.engine.sequential_base import ImageSequentialBase
@@ -86,7 +86,7 @@ __all__ = [
     "Motion",
     "ParamItem",
     "Params",
-    "Parts",
+    "PartsOfImages",
     "PatchSequential",
     "Record",
     "RigidAffineAugmentationBase2D",

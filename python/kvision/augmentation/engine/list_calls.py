@@ -151,6 +151,30 @@ class Parts:
         return None if matrices[0] is None else self.join(matrices)
 
 
+class PartsOfImages(Parts):
+    """Parts that are an image each, whose record is made when it is asked for."""
+
+    def __init__(self, op: str, images: Sequence[Tensor]) -> None:
+        self.op, self.count = op, len(images)
+        self._shapes = [(1, *x.shape) for x in images]  # and not the images, which would be kept
+
+    @property
+    def rows(self) -> list[list[int]]:  # type: ignore[override]
+        return [[b] for b in range(self.count)]
+
+    @cached_property
+    def calls(self) -> list[Any]:
+        return [self._record(b) for b in range(self.count)]
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return (self.count, *map(max, zip(*(shape[1:] for shape in self._shapes))))
+
+    def _record(self, b: int) -> Any:
+        """The call of an image."""
+        raise NotImplementedError
+
+
 def call_in_parts(
     modules: Sequence[Any],
     keys: Sequence[DataKey],

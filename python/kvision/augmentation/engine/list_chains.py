@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import cached_property
 from typing import Any, NamedTuple
 
 import torch
@@ -18,7 +17,14 @@ from torch.compiler import is_compiling
 from kvision.augmentation.engine.augmentation import AugmentationBase
 from kvision.augmentation.engine.call_context import CallContext
 from kvision.augmentation.engine.execution import matrix_type
-from kvision.augmentation.engine.list_calls import Parts, joined, params_of_rows, refuse_list, seeds_of_list
+from kvision.augmentation.engine.list_calls import (
+    Parts,
+    PartsOfImages,
+    joined,
+    params_of_rows,
+    refuse_list,
+    seeds_of_list,
+)
 from kvision.augmentation.engine.list_replays import run_or_replay
 from kvision.augmentation.engine.record import Child, ParamItem, Record, SomeParamItem
 from kvision.augmentation.engine.runs import execute, inside_child, runs_of
@@ -42,26 +48,14 @@ class _Step(NamedTuple):
         return own
 
 
-class ChainParts(Parts):
-    """A call of a container on a list: each image is a part, whose record is made when it is asked for."""
+class ChainParts(PartsOfImages):
+    """A call of a container on a list."""
 
     def __init__(self, op: str, images: Sequence[Tensor], results: Sequence[Tensor], steps: Sequence[_Step]) -> None:
-        self.op, self.count, self._steps = op, len(images), steps
-        self._shapes = [(1, *x.shape) for x in images]
+        super().__init__(op, images)
+        self._steps = steps
         self._sizes = [tuple(y.shape[-2:]) for y in results]
         self._identity = matrix_type(results[0])
-
-    @property
-    def rows(self) -> list[list[int]]:  # type: ignore[override]
-        return [[b] for b in range(self.count)]
-
-    @cached_property
-    def calls(self) -> list[Any]:
-        return [self._record(b) for b in range(self.count)]
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        return (self.count, *map(max, zip(*(shape[1:] for shape in self._shapes))))
 
     def params(self, read: Callable[[Any], Any]) -> list[Any]:
         """The parameters of children, as those of a batch: of each turn those of the images that it has."""

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from kvision._clamp import clamp
-from kvision._constants import constant
+from kvision._constants import constant, on_device
 from kvision._dtype import compute_dtype
 from kvision._limits import NOISE_BY_CHANNEL as BY_CHANNEL
 from kvision._limits import NOISE_CLAMP as CLAMP
@@ -361,7 +361,7 @@ def _register_list(name: str, operator: str) -> None:
         # All pixels as one row: so many operations of torch for any number of images.
         counts = [x.numel() for x in images]
         total, dtype = sum(counts), compute_dtype(grads[0])
-        own_counts = torch.tensor(counts, device="cpu").to(grads[0].device, non_blocking=True)
+        own_counts = on_device(torch.tensor(counts, device="cpu"), grads[0].device)
 
         def row_of(each: Sequence[Tensor]) -> Tensor:
             return torch.cat([x.reshape(-1) for x in each]).to(dtype)

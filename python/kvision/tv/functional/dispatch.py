@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from kvision import _constants
 from kvision._tv_tensors import TV_TENSORS, kind_of, plain, wrap
 from kvision.core.exceptions import TypeCheckError
 from kvision.tv.inputs import IMAGES, LABELS, pil_to_tensor, to_pil_image
@@ -113,7 +114,7 @@ def _are_equal(a: dict[str, Any], b: dict[str, Any]) -> bool:
 
 def on_device(values: Any, device: torch.device) -> Tensor:
     """Numbers on a device, without waiting for it."""
-    return torch.as_tensor(values, device="cpu").to(device, non_blocking=True)
+    return _constants.on_device(torch.as_tensor(values, device="cpu"), device)
 
 
 def takes(function: Callable[..., Any], x: Any) -> bool:

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from kvision._constants import on_device
 from kvision._list_ops import ListOperator
 from kvision._ops import Operator
 from kvision.geometry.transform.lists import arguments as lists
@@ -75,7 +76,7 @@ class OperationsOfSome(NamedTuple):
         """The results of images (C, H, W) of different sizes, as those of an operation."""
         results = list(images)
         for samples, operation in self.each:
-            index = torch.tensor(samples, device="cpu").to(images[0].device, non_blocking=True)
+            index = on_device(torch.tensor(samples, device="cpu"), images[0].device)
             own = None if chosen is None else chosen.index_select(0, index)
             for i, y in zip(samples, operation.on_list([images[i] for i in samples], own)):
                 results[i] = y

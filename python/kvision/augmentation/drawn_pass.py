@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, Protocol
 
 import torch
 from torch import Tensor, is_grad_enabled
@@ -162,10 +162,17 @@ class SizedDraws:
         return columns, sizes
 
 
+class NumbersOfSizes(Protocol):
+    """Numbers that depend on the sizes of images: an object and no function, because a graph keeps it."""
+
+    def of_each(self, images: Sequence[Tensor]) -> Tensor:
+        """The numbers (B, N) of each image, float64 on the CPU."""
+
+
 class DrawnListPass:
     """Draws as those of SizedDraws, and a pass over the images, whose results are a list, that reads the drawn columns.
 
-    `numbers` are `linear` as there, or a function that gives those of each image, float64 (B, N) on the CPU. The last two are
+    `numbers` are `linear` as there, or what gives those of each image. The last two are
     height and width of the results if these have others than the images.
     """
 
@@ -173,7 +180,7 @@ class DrawnListPass:
         self,
         draws: DrawPlan,
         listed: Sequence[int],
-        numbers: Tensor | Callable[[Sequence[Tensor]], Tensor],
+        numbers: Tensor | NumbersOfSizes,
         changes_sizes: bool,
         image_pass: Pass,
         shape: Sequence[int],
@@ -202,7 +209,7 @@ class DrawnListPass:
         own = (_NO_KEYS, None) if keys is None else (draws.keys_of(keys), keys.seeds_on(x.device))
         try:
             is_linear = isinstance(self.numbers, Tensor)
-            numbers = self.numbers if isinstance(self.numbers, Tensor) else self.numbers(images)
+            numbers = self.numbers if isinstance(self.numbers, Tensor) else self.numbers.of_each(images)
             call = _draw_warp_and_color_to_list.kernel
             *results, _, columns, sizes = call(images, *own, numbers, is_linear, *self._plan)
         except RuntimeError:

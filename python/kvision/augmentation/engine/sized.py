@@ -102,8 +102,6 @@ class NumbersOfEach:
         """The numbers (B, N) for the size of each image, float64 on the CPU."""
         return self._of_sizes(x.shape[-2:] for x in images)
 
-    __call__ = of_each  # what a graph keeps: an object, and no method of one
-
     def of_sides(self, sides: Sequence[int]) -> Tensor:
         """The same for height and width of each image."""
         return self._of_sizes(zip(sides[::2], sides[1::2]))

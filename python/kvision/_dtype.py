@@ -12,7 +12,7 @@ def floats(x: Tensor) -> Tensor:
 
 
 def pixels(x: Tensor) -> Tensor:
-    """`x`, or its float32 copy where it holds integers other than uint8: the input of operators with uint8 results."""
+    """`x`, or its float32 copy where it holds integers other than uint8: the input of operators whose kernels take it."""
     return x if x.is_floating_point() or x.dtype == torch.uint8 else x.float()
 
 

@@ -150,6 +150,7 @@ class Operator:
         bytes: the kernels take uint8, too.
         uint16: the kernels take uint16, too.
         levels: the result for bytes is that for images of floats times this number, 1 or 255.
+        float_results: the results for bytes are those for the same numbers in float32.
         labels: the first tensor holds int64 or uint8, and the kernels take no other types.
         native_half: the reference takes half types as they are, because how they round is part of the result.
         casts_outputs: the reference itself casts its results as the kernels do, say to another type than the first
@@ -182,6 +183,7 @@ class Operator:
         bytes: bool = False,
         uint16: bool = False,
         levels: int = 1,
+        float_results: bool = False,
         labels: bool = False,
         native_half: bool = False,
         casts_outputs: bool = False,
@@ -195,7 +197,7 @@ class Operator:
         self.reference = (
             without_autocast_and_tf32(reference)
             if casts_outputs
-            else with_kernel_casts(reference, native_half, layout_of, levels, non_differentiable)
+            else with_kernel_casts(reference, native_half, layout_of, levels, non_differentiable, float_results)
         )
         self.words = gradients
         self.by_hand = backward
@@ -209,6 +211,7 @@ class Operator:
         self.supports = supports
         self.nondeterministic = nondeterministic
         self._fake_sizes = fake
+        self._float_results = float_results
         self._layout_of = layout_of
         self._flatten = flatten or flatten_batches
         self.unserved = unserved_devices(name)
@@ -369,9 +372,10 @@ class Operator:
 
     def _fake(self, *args: Any) -> Any:
         x, sizes = args[self._layout_of], self._sizes(*args)
+        dtype = torch.float32 if self._float_results and x.dtype == torch.uint8 else x.dtype
         if isinstance(sizes, list):
-            return tuple(_empty(x, s) for s in sizes)
-        return _empty(x, sizes)
+            return tuple(_empty(x, s, dtype) for s in sizes)
+        return _empty(x, sizes, dtype)
 
     def _sizes(self, *args: Any) -> Any:
         return args[0].shape if self._fake_sizes is None else self._fake_sizes(*args)
@@ -645,9 +649,9 @@ def _map(f: Callable[[Any], Any], output: Any) -> Any:
     return tuple(map(f, output)) if isinstance(output, (tuple, list)) else f(output)
 
 
-def _empty(x: Tensor, sizes: Sequence[int] | Tensor) -> Tensor:
+def _empty(x: Tensor, sizes: Sequence[int] | Tensor, dtype: torch.dtype) -> Tensor:
     """What the kernels allocate."""
-    return sizes if isinstance(sizes, Tensor) else match_layout(x.new_empty(sizes), x)
+    return sizes if isinstance(sizes, Tensor) else match_layout(x.new_empty(sizes, dtype=dtype), x)
 
 
 def match_layout(y: Tensor, x: Tensor) -> Tensor:
@@ -730,10 +734,12 @@ def with_kernel_casts(
     layout_of: int = 0,
     levels: int = 1,
     plain: Sequence[int] = (),
+    float_results: bool = False,
 ) -> Callable[..., Any]:
     """The reference with the kernels' rules: half types and bytes compute in float32, no autocast or TF32, their layout.
 
-    With `native_half` the reference takes half types as they are; `levels` and `plain` are those of `through_floats`.
+    With `native_half` the reference takes half types as they are, with `float_results` bytes give floats; `levels` and
+    `plain` are those of `through_floats`.
     """
     of_bytes = through_floats(reference, levels, plain)
 
@@ -742,6 +748,8 @@ def with_kernel_casts(
     def wrapped(*args: Any) -> Any:
         x = args[0]
         dtype = x.dtype
+        if dtype == torch.uint8 and float_results:
+            dtype = torch.float32
         if dtype == torch.uint8:
             return _map(lambda y: match_layout(y, args[layout_of]), of_bytes(*args))
         if not (native_half and dtype in _HALF_TYPES):

@@ -8,6 +8,10 @@
 
 namespace kv::filters {
 
+// The type of the derivatives of images of T. They may be negative and no whole numbers: those of bytes are floats.
+template <class T>
+using DerivativeOf = std::conditional_t<__is_same(T, uint8_t), float, T>;
+
 // A row of weights centered on a pixel. Pixels under a zero weight are not read.
 template <int... W>
 struct WeightRow {

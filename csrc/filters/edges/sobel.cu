@@ -1,6 +1,6 @@
 // Sobel on CUDA. Each warp goes down a strip of 128 columns with its rows in registers, so each pixel is read from
-// device memory once; half types whose rows are no vectors are read by groups of columns. Channels-last images take a
-// plain kernel with one thread for each element.
+// device memory once; half types whose rows are no vectors are read by groups of columns, bytes by columns 32 apart.
+// Channels-last images take a plain kernel with one thread for each element.
 #include "core/stencils/column_groups.cuh"
 #include "sobel.h"
 
@@ -104,6 +104,79 @@ __global__ void __launch_bounds__(kGroupThreads, 5)
       float result[P];
       magnitudes(v[k], v[(k + 1) % 3], v[(k + 2) % 3], scale, p.eps, result);
       out.put(result);
+    }
+}
+
+// Bytes, at any address: a thread has four columns that are 32 apart, so that loads and stores of a warp are adjacent.
+// What a column contributes to both gradients is one integer, smooth + 65536 difference, which adjacent threads
+// exchange. Sums and squares of bytes are exact, as in floats.
+constexpr int kByteRows = 24, kBytesAhead = 2;
+
+// A conversion from the byte would mask it again.
+__device__ __forceinline__ int read_byte(uint8_t const* from) {
+  int byte;
+  asm volatile("ld.global.nc.u8 %0, [%1];" : "=r"(byte) : "l"(from));
+  return byte;
+}
+
+// Wide: rows have at least the pixels of a strip. Then the last strip of a row ends with it.
+template <bool Wide>
+__global__ void __launch_bounds__(256, 4)
+    sobel_bytes(__grid_constant__ Sobel<uint8_t> const p, __grid_constant__ Strips<> const strips) {
+  constexpr int P = 4;
+  int64_t plane;
+  int x, y0;
+  if (!strips.locate(plane, x, y0)) return;
+  int const lane = threadIdx.x % 32, width = int(p.x.width), height = int(p.x.height);
+  int const strip = x - P * lane, first = (Wide ? min(strip, width - 32 * P) : strip) + lane;
+  // The last column of a thread is before the strip in the last lane, and behind it in the first one.
+  int const halo = lane == 31 ? max(first - 32, 0) : lane == 0 ? min(first + 32 * P, width - 1) : min(first, width - 1);
+  uint8_t const *const from = p.x.plane(plane) + (Wide ? first : 0), *const halo_from = p.x.plane(plane) + halo;
+  float* out = p.y.row(plane, y0) + first;
+  float const scale = p.scale * p.scale;
+  int const y1 = min(y0 + int(strips.rows), height);
+  using Row = int[P + 1];
+  int next = y0 - 1;
+  auto const fetch = [&](Row& row) {
+    int64_t const offset = clamp(next++, 0, height - 1) * p.x.row_stride;
+#pragma unroll
+    for (int i = 0; i < P; ++i) row[i] = read_byte(from + offset + (Wide ? 32 * i : min(first + 32 * i, width - 1)));
+    row[P] = read_byte(halo_from + offset);
+  };
+  // Of a column a, b, c: a + 2 b + c + 65536 (c - a). Its sums without c, and without b and c.
+  Row two{}, one{}, ahead[kBytesAhead];
+  auto const take = [&](int i, int pixel) {
+    int const sum = two[i] + 65537 * pixel;
+    two[i] = one[i] + 2 * pixel;
+    one[i] = -65535 * pixel;
+    return sum;
+  };
+  fetch(ahead[0]);
+  fetch(ahead[1]);
+#pragma unroll
+  for (auto& row : ahead) {
+#pragma unroll
+    for (int i = 0; i <= P; ++i) take(i, row[i]);
+    fetch(row);
+  }
+#pragma unroll 1
+  for (int y = y0; y < y1; y += kBytesAhead)
+#pragma unroll
+    for (int k = 0; k < kBytesAhead; ++k) {
+      if (k > 0 && y + k >= y1) break;
+      Row middle;
+#pragma unroll
+      for (int i = 0; i <= P; ++i) middle[i] = take(i, ahead[k][i]);
+      fetch(ahead[k]);
+#pragma unroll
+      for (int i = 0; i < P; ++i) {
+        int const left = __shfl_sync(~0u, lane == 31 ? middle[i > 0 ? i - 1 : P] : middle[i], lane + 31);
+        int const right = __shfl_sync(~0u, lane == 0 ? middle[i + 1] : middle[i], lane + 1);
+        int const gx = int16_t(right - left), gy = (left + 2 * middle[i] + right) >> 16;
+        float const squares = __int_as_float(gx * gx + (gy * gy + 0x4b000000)) - float(1 << 23);  // 2^23 + squares
+        if (Wide || first + 32 * i < width) __stcs(out + 32 * i, fast_sqrt(squares * scale + p.eps));
+      }
+      out += p.y.row_stride;
     }
 }
 
@@ -232,7 +305,7 @@ __global__ void sobel_any(Sobel<T> p) {
   int64_t const e = i % size, r = i / size, plane = r / p.x.height, y = r % p.x.height;
   Compute<T> gx, gy;
   gradients_at<T>(p.x, p.scale, plane, y, e, gx, gy);
-  p.y.row(plane, y)[e] = round_to<T>(fast_sqrt(gx * gx + gy * gy + p.eps));
+  p.y.row(plane, y)[e] = round_to<DerivativeOf<T>>(fast_sqrt(gx * gx + gy * gy + p.eps));
 }
 
 template <class T>
@@ -285,6 +358,19 @@ int sobel(Sobel<T> const& p, CUstream_st* stream) {
     });
   else
     sobel_any<<<unsigned(ceil_div(p.x.rows() * p.x.row_size(), 256)), 256, 0, stream>>>(p);
+  return cudaGetLastError();
+}
+
+template <>
+int sobel(Sobel<uint8_t> const& p, CUstream_st* stream) {
+  static int const resident = resident_blocks(sobel_bytes<true>, 256);
+  if (p.x.step == 1) {
+    auto const strips = Strips<>::near(kByteRows, p.x.count(), p.x.height, p.x.width, 3, resident, kStripWarps);
+    auto* const kernel = p.x.width < 128 ? sobel_bytes<false> : sobel_bytes<true>;
+    kernel<<<strips.blocks(), 256, 0, stream>>>(p, strips);
+  } else {
+    sobel_any<<<unsigned(ceil_div(p.x.rows() * p.x.row_size(), 256)), 256, 0, stream>>>(p);
+  }
   return cudaGetLastError();
 }
 

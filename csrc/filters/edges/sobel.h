@@ -10,6 +10,7 @@
 #include "core/border.h"
 #include "core/isa.h"
 #include "core/view.h"
+#include "derivative.h"
 
 namespace kv::filters {
 
@@ -18,7 +19,7 @@ constexpr Border kSobelBorder = Border::replicate;
 template <class T>
 struct Sobel {
   Planes<T const> x;
-  Planes<T> y;
+  Planes<DerivativeOf<T>> y;
   Compute<T> scale, eps;
 };
 

@@ -25,7 +25,7 @@ void sobel(Sobel<T> const& p, int64_t begin, int64_t end) {
   Neighborhoods<kSobelBorder, T> const x(p.x);
   for (int64_t r = begin; r < end; ++r) {
     int64_t const plane = r / p.x.height, y = r % p.x.height;
-    T* const out = p.y.row(plane, y);
+    auto* const out = p.y.row(plane, y);
     for_each_gradient(x, plane, y, p.scale, [&](auto width, int64_t e, auto gx, auto gy) {
       store<decltype(width)::value>(out + e, vsqrt(gx * gx + gy * gy + p.eps));
     });
@@ -57,7 +57,7 @@ void sobel_backward(SobelBackward<T> const& p, int64_t begin, int64_t end) {
   });
 }
 
-KV_INSTANTIATE(sobel, Sobel)
+KV_INSTANTIATE_WITH_BYTES(sobel, Sobel)
 KV_INSTANTIATE(sobel_backward, SobelBackward)
 
 }  // namespace kv::filters::KV_ISA

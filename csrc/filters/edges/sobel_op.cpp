@@ -8,11 +8,14 @@ namespace {
 Tensor sobel(Tensor const& input, bool normalized, double eps) {
   check_images("sobel", "input", input);
   Layout const layout = layout_of(input);
-  Tensor const x = as_layout(input, layout), y = empty_like(x, layout);
-  dispatch_floating("sobel", x, [&](auto type) {
+  Tensor const x = as_layout(input, layout);
+  ScalarType const result = x.scalar_type() == ScalarType::Byte ? ScalarType::Float : x.scalar_type();
+  Tensor const y = empty({x.size(0), x.size(1), x.size(2), x.size(3)}, x, layout, result);
+  dispatch_floating_and_uint8("sobel", x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
-    Sobel<T> const params{planes<T const>(x, layout), planes<T>(y, layout), F(normalized ? 0.125 : 1), F(eps)};
+    Sobel<T> const params{planes<T const>(x, layout), planes<DerivativeOf<T>>(y, layout), F(normalized ? 0.125 : 1),
+                          F(eps)};
     KV_RUN(sobel, x, params, params.y.rows(), params.y.row_size());
   });
   return y;

@@ -27,7 +27,7 @@ __global__ void __launch_bounds__(256) forward_strip(SpatialGradient<T> p, Strip
   Strip<R, Aligned, P> const strip(x, int(p.x.width), Border::replicate);
   RowCursor<T> rows(p.x, plane, y0 - R);
   int64_t const channel_stride = p.y.outer_stride;
-  T* out = p.y.row(plane * channels, y0);
+  auto* out = p.y.row(plane * channels, y0);
   int const y1 = min(y0 + int(strips.rows), int(p.x.height));
 
   F along[2 * R + 1][channels][P];  // rows y - R ... y + R
@@ -79,6 +79,6 @@ int spatial_gradient(SpatialGradient<T> const& p, CUstream_st* stream) {
   return cudaGetLastError();
 }
 
-KV_INSTANTIATE(spatial_gradient, SpatialGradient)
+KV_INSTANTIATE_WITH_BYTES(spatial_gradient, SpatialGradient)
 
 }  // namespace kv::filters::cuda

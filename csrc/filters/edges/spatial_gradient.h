@@ -16,7 +16,7 @@ enum class DerivativeKind { sobel1, sobel2, diff1, diff2 };
 template <class T>
 struct SpatialGradient {
   Planes<T const> x;
-  Planes<T> y;  // the channels of plane p start at plane p * (order + 1)
+  Planes<DerivativeOf<T>> y;  // the channels of plane p start at plane p * (order + 1)
   DerivativeKind kind;
   bool normalized;
 };

@@ -31,7 +31,7 @@ KV_HD void forward(SpatialGradient<T> const& p, int64_t begin, int64_t end) {
         v[i] = v[R];
         v[R + width + i] = v[R + width - 1];
       }
-      T* const out = p.y.row(plane * channels + c.value, y);
+      auto* const out = p.y.row(plane * channels + c.value, y);
       for_each_vector<T>(0, width, [&](auto lanes, int64_t e) {
         constexpr int N = decltype(lanes)::value;
         store<N>(out + e, c.along().dot([&](int i) { return load<N>(v + e + i); }));
@@ -93,7 +93,7 @@ void spatial_gradient_backward(SpatialGradientBackward<T> const& p, int64_t begi
   dispatch_kernel(p.kind, [&](auto kernel) { backward<decltype(kernel)>(p, begin, end); });
 }
 
-KV_INSTANTIATE(spatial_gradient, SpatialGradient)
+KV_INSTANTIATE_WITH_BYTES(spatial_gradient, SpatialGradient)
 KV_INSTANTIATE(spatial_gradient_backward, SpatialGradientBackward)
 
 }  // namespace kv::filters::KV_ISA

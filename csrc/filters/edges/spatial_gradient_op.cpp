@@ -17,10 +17,13 @@ Tensor spatial_gradient(Tensor const& input, int64_t mode, int64_t order, bool n
   check_images("spatial_gradient", "input", input);
   DerivativeKind const kind = derivative_kind("spatial_gradient", mode, order);
   int64_t const b = input.size(0), c = input.size(1), h = input.size(2), w = input.size(3);
-  Tensor const x = as_layout(input, Layout::planar), y = empty({b, c, order + 1, h, w}, x);
-  dispatch_floating("spatial_gradient", x, [&](auto type) {
+  Tensor const x = as_layout(input, Layout::planar);
+  ScalarType const result = x.scalar_type() == ScalarType::Byte ? ScalarType::Float : x.scalar_type();
+  Tensor const y = empty({b, c, order + 1, h, w}, x, Layout::planar, result);
+  dispatch_floating_and_uint8("spatial_gradient", x, [&](auto type) {
     using T = typename decltype(type)::type;
-    SpatialGradient<T> const params{planes<T const>(x, Layout::planar), stacked_planes<T>(y), kind, normalized};
+    SpatialGradient<T> const params{planes<T const>(x, Layout::planar), stacked_planes<DerivativeOf<T>>(y), kind,
+                                    normalized};
     KV_RUN(spatial_gradient, x, params, params.x.rows(), w * (order + 2));
   });
   return y;

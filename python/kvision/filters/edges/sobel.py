@@ -6,6 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from kvision import _check
+from kvision._dtype import pixels
 from kvision._ops import register, vjp
 from kvision.core.border import pad
 
@@ -28,7 +29,7 @@ def root(x: Tensor) -> Tensor:
     return torch.where(zero, 0, torch.where(zero, 1, x).sqrt())
 
 
-_sobel = register("sobel", _reference, gradients="input: sobel_backward")
+_sobel = register("sobel", _reference, gradients="input: sobel_backward", bytes=True, float_results=True)
 _sobel_backward = register("sobel_backward", vjp(_reference), layout_of=1)
 
 
@@ -60,9 +61,7 @@ def sobel(input: Tensor, normalized: bool = True, eps: float = 1e-6) -> Tensor:
     _check.images("sobel", "input", input)
     _check.flag("sobel", "normalized", normalized)
     eps = _check.number("sobel", "eps", eps, minimum=0)
-    if not input.is_floating_point():
-        input = input.float()
-    return _sobel(input, normalized, eps)
+    return _sobel(pixels(input), normalized, eps)
 
 
 class Sobel(nn.Module):

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._choices import DerivativeMode
-from kvision._dtype import floats
+from kvision._dtype import floats, pixels
 from kvision._modes import DERIVATIVE_MODE, DERIVATIVE_MODE_NAMES
 from kvision._modules import VOLUME, FunctionModule
 from kvision._ops import register
@@ -57,6 +57,8 @@ _spatial_gradient = register(
     fake=lambda x, mode, order, normalized: (*x.shape[:2], order + 1, *x.shape[2:]),
     gradients="input: spatial_gradient_backward",
     linear=True,
+    bytes=True,
+    float_results=True,
 )
 register(
     "spatial_gradient_backward",
@@ -94,7 +96,7 @@ def spatial_gradient(input: Tensor, mode: DerivativeMode = "sobel", order: int =
     _check.images("spatial_gradient", "input", input)
     order = check_derivative("spatial_gradient", mode, order)
     _check.flag("spatial_gradient", "normalized", normalized)
-    return _spatial_gradient(floats(input), DERIVATIVE_MODE[mode], order, normalized)
+    return _spatial_gradient(pixels(input), DERIVATIVE_MODE[mode], order, normalized)
 
 
 class SpatialGradient(FunctionModule):

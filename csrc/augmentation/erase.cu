@@ -52,6 +52,17 @@ __device__ __forceinline__ void mark_tile(EraseGrid<T> const& p, int64_t b, int6
   }
 }
 
+template <class T>
+__device__ __forceinline__ void mark_tile(EraseMarked<T> const& p, int64_t b, int64_t left, int64_t top, int columns,
+                                          int rows, TileBits& erased) {
+  int const words = int(ceil_div(columns, 32));
+  for (int i = int(threadIdx.x / 32); i < rows * words; i += kEraseThreads / 32) {
+    int const y = i / words, word = i % words, column = 32 * word + int(threadIdx.x % 32);
+    unsigned const bits = __ballot_sync(~0u, column < columns && p.contains(b, left + column, top + y));
+    if (threadIdx.x % 32 == 0) erased[y][word] = bits;
+  }
+}
+
 // Of the tile of sample b that begins at (left, top), P elements of a row for each thread. A row of a channels-last
 // image has all channels of its pixels.
 template <int P, class Params>
@@ -166,10 +177,15 @@ template <class T>
 int erase_grid_list(EraseGridList<T> const& p, CUstream_st* stream) {
   return launch_list<EraseGrid<T>>(p, stream);
 }
+template <class T>
+int erase_marked_list(EraseMarkedList<T> const& p, CUstream_st* stream) {
+  return launch_list<EraseMarked<T>>(p, stream);
+}
 
 KV_INSTANTIATE_WITH_BYTES(erase_rectangles, EraseRectangles)
 KV_INSTANTIATE_WITH_BYTES(erase_grid, EraseGrid)
 KV_INSTANTIATE_WITH_BYTES(erase_rectangles_list, EraseRectanglesList)
 KV_INSTANTIATE_WITH_BYTES(erase_grid_list, EraseGridList)
+KV_INSTANTIATE_WITH_BYTES(erase_marked_list, EraseMarkedList)
 
 }  // namespace kv::augmentation::cuda

@@ -1,5 +1,5 @@
 // Sets parts of images to a value: rectangles, x <= column < x + width and y <= row < y + height for pixels at whole
-// numbers, or the lines of grids.
+// numbers, the lines of grids, or what masks mark.
 #pragma once
 
 #include "core/image_list.h"
@@ -50,6 +50,21 @@ struct EraseGrid : Erase<T> {
   }
 };
 
+template <class T>
+struct EraseMarked : Erase<T> {
+  uint8_t const* marks;  // (B, H, W) of the largest image, 0 for pixels that stay
+  int64_t mark_stride, row_stride;
+
+  // As that of rectangles.
+  KV_HD void skip(int64_t count) {
+    this->values += count * this->value_stride;
+    marks += count * mark_stride;
+  }
+  KV_HD bool contains(int64_t b, int64_t column, int64_t row) const {
+    return marks[b * mark_stride + row * row_stride + column] != 0;
+  }
+};
+
 KV_KERNEL(erase_rectangles, EraseRectangles)
 KV_KERNEL(erase_grid, EraseGrid)
 
@@ -76,10 +91,13 @@ template <class T>
 struct EraseRectanglesList : EraseList<EraseRectangles<T>> {};
 template <class T>
 struct EraseGridList : EraseList<EraseGrid<T>> {};
+template <class T>
+struct EraseMarkedList : EraseList<EraseMarked<T>> {};
 
 // On the CPU an item is some rows of all planes, on CUDA a tile.
 KV_KERNEL(erase_rectangles_list, EraseRectanglesList)
 KV_KERNEL(erase_grid_list, EraseGridList)
+KV_KERNEL(erase_marked_list, EraseMarkedList)
 constexpr int kEraseRows = 8, kEraseColumns = 2048;
 
 // The pixels [begin, end) of a side that are erased. NaN erases none.

@@ -67,10 +67,20 @@ template <class T>
 void erase_grid_list(EraseGridList<T> const& p, int64_t begin, int64_t end) {
   for_each_image(p, begin, end, [](auto const&... rows) { KV_ISA::erase_grid(rows...); });
 }
+template <class T>
+void erase_marked_list(EraseMarkedList<T> const& p, int64_t begin, int64_t end) {
+  for_each_image(p, begin, end, [](auto const& one, int64_t first, int64_t last) {
+    erase_rows(one, first, last, [&](int64_t b, int64_t y, auto erase) {
+      for (int64_t x = 0; x < one.x.width; ++x)
+        if (one.contains(b, x, y)) erase(x, x + 1);
+    });
+  });
+}
 
 KV_INSTANTIATE_WITH_BYTES(erase_rectangles, EraseRectangles)
 KV_INSTANTIATE_WITH_BYTES(erase_grid, EraseGrid)
 KV_INSTANTIATE_WITH_BYTES(erase_rectangles_list, EraseRectanglesList)
 KV_INSTANTIATE_WITH_BYTES(erase_grid_list, EraseGridList)
+KV_INSTANTIATE_WITH_BYTES(erase_marked_list, EraseMarkedList)
 
 }  // namespace kv::augmentation::KV_ISA

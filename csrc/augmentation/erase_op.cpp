@@ -1,4 +1,4 @@
-// Erased rectangles and grids: schemas and entries, for CPU and CUDA.
+// Erased rectangles, grids and marked pixels: schemas and entries, for CPU and CUDA.
 #include "augmentation/erase.h"
 #include "geometry/transform/lists/list_glue.h"
 
@@ -11,14 +11,14 @@ struct EraseArguments {
   char const* op;
   Tensor const &images, &parts, &values;
 
-  void check(bool are_parts, char const* expected) const {
+  void check(bool are_parts, char const* expected, ScalarType type = ScalarType::Float) const {
     check_images(op, "images", images);
     int64_t const batch = images.size(0), channels = images.size(1);
     auto const fits = [&](Tensor const& t, ScalarType type) {
       return (t.size(0) == batch || t.size(0) == 1) && t.scalar_type() == type && t.device() == images.device();
     };
-    KV_CHECK(are_parts && fits(parts, ScalarType::Float), op, ": expected float32 ", expected,
-             " on the device of images");
+    KV_CHECK(are_parts && fits(parts, type), op, ": expected ", type == ScalarType::Float ? "float32 " : "uint8 ",
+             expected, " on the device of images");
     KV_CHECK(
         values.dim() == 2 && fits(values, compute_dtype(images)) && (values.size(1) == channels || values.size(1) == 1),
         op, ": expected values of shape (B, C) or (B, 1), of the type that is computed in, on the device of images");
@@ -45,6 +45,10 @@ struct EraseArguments {
   template <class T>
   EraseGrid<T> grids(Layout layout, Tensor const& own) const {
     return {params<T>(layout), data_ptr<float const>(own), own.size(0) > 1 ? own.stride(0) : 0};
+  }
+  template <class T>
+  EraseMarked<T> marked(Layout layout, Tensor const& own) const {
+    return {params<T>(layout), data_ptr<uint8_t const>(own), own.size(0) > 1 ? own.stride(0) : 0, own.stride(2)};
   }
 };
 
@@ -142,6 +146,21 @@ Tensors erase_grid_list(Tensors const& images, Tensor const& grids, Tensor const
       });
 }
 
+// Marks (B or 1, 1, H, W) uint8 of the largest sides.
+Tensors erase_marked_list(Tensors const& images, Tensor const& marks, Tensor const& values) {
+  geometry::KeptSizes const kept("erase_marked_list", images);
+  EraseArguments const a{kept.op, kept.largest, marks, values};
+  bool fit = marks.dim() == 4 && marks.size(1) == 1;
+  for (Tensor const& x : images) fit = fit && x.size(1) <= marks.size(2) && x.size(2) <= marks.size(3);
+  a.check(fit, "marks of shape (B, 1, H, W), at least as high and wide as the images,", ScalarType::Byte);
+  Tensor const own = dense(marks);
+  return erase_list<EraseMarkedList>(
+      kept, a, images, [&]<class T>(Type<T>, Layout layout) { return a.marked<T>(layout, own); },
+      [&](auto const& p, [[maybe_unused]] int64_t cost) {
+        KV_RUN(erase_marked_list, a.images, p, p.list.items, 2 * cost);
+      });
+}
+
 }  // namespace
 
 KV_OPERATOR(erase_rectangles, "(Tensor images, Tensor boxes, Tensor values) -> Tensor")
@@ -149,5 +168,6 @@ KV_OPERATOR(erase_grid, "(Tensor images, Tensor grids, Tensor values) -> Tensor"
 // The same of images (C, H, W) of different sizes, as a list.
 KV_OPERATOR(erase_rectangles_list, "(Tensor[] images, Tensor boxes, Tensor values) -> Tensor[]")
 KV_OPERATOR(erase_grid_list, "(Tensor[] images, Tensor grids, Tensor values) -> Tensor[]")
+KV_OPERATOR(erase_marked_list, "(Tensor[] images, Tensor marks, Tensor values) -> Tensor[]")
 
 }  // namespace kv::augmentation

@@ -11,8 +11,9 @@ template <class T>
 struct DropObjects {
   T const *values, *components;  // (B, N, pixels); those of the regions of one mask a sample, or null
   float const *words, *counts;   // (B,), whole numbers: the source of the ranks, and how many objects are dropped
+  int64_t const* widths;         // (B,) of images that are padded on the right to `width`, or null
   uint8_t* y;                    // (B, pixels)
-  int64_t batch, masks, pixels;
+  int64_t batch, masks, pixels, width;
   int most;  // count that is obeyed
 
   // The lowest 32 bits of a number as others, as `mixed_words` of draws.py.
@@ -26,8 +27,14 @@ struct DropObjects {
     T const value = values[b * masks * pixels + i];
     if (value == 0) return -1;
     uint32_t const object =
-        components ? uint32_t(components[b * pixels + i]) + mixed(uint32_t(value)) : uint32_t(i / pixels);
+        components ? uint32_t(region(b, components[b * pixels + i])) + mixed(uint32_t(value)) : uint32_t(i / pixels);
     return mixed(object ^ word);
+  }
+  // The number of a region, which is one more than its first pixel, in the image without its padding.
+  KV_HD int64_t region(int64_t b, int64_t number) const {
+    if (!widths) return number;
+    int64_t const row = (number - 1) / width;
+    return number - row * (width - widths[b]);
   }
   KV_HD int count(int64_t b) const { return int(min(counts[b], float(most))); }
   KV_HD uint32_t word(int64_t b) const { return mixed(uint32_t(words[b])); }

@@ -149,8 +149,8 @@ inline constexpr Operator<"salt_and_pepper", Tensor(Tensor images, Tensor parame
 
 // --- augmentation/occlusion/objects_op.cpp
 
-inline constexpr Operator<"drop_objects",
-                          Tensor(Tensor masks, OptionalTensor components, Tensor words, Tensor counts, int64_t most)>
+inline constexpr Operator<"drop_objects", Tensor(Tensor masks, OptionalTensor components, Tensor words, Tensor counts,
+                                                 OptionalTensor widths, int64_t most)>
     drop_objects{non_differentiable};
 
 // --- augmentation/preimages/preimages_op.cpp

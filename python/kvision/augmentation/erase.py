@@ -1,14 +1,16 @@
-"""Sets rectangles of images, or the lines of grids, to a value."""
+"""Sets rectangles of images, the lines of grids or marked pixels to a value."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import torch
 from torch import Tensor
 
+from kvision._list_ops import ListOperator
 from kvision._ops import Operator, match_layout, register, saturate_to_byte
-from kvision.geometry.transform.lists.arguments import row
+from kvision.geometry.transform.lists.arguments import fake_results, row, sizes
 from kvision.geometry.transform.lists.kept_sizes import Operation, register_list
 
 
@@ -100,3 +102,34 @@ def _register_list(name: str, erase: Operator) -> None:
 
 _register_list("erase_rectangles_list", erase_rectangles)
 _register_list("erase_grid_list", erase_grid)
+
+
+# Pixels that are marked, (B, 1, H, W) uint8 for the largest sides: of lists only.
+
+
+def _marked_reference(images: Sequence[Tensor], marks: Tensor, values: Tensor) -> list[Tensor]:
+    results = []
+    for b, x in enumerate(images):
+        own = saturate_to_byte(values) if x.dtype == torch.uint8 else values
+        is_marked = row(marks, b)[0, :, : x.shape[1], : x.shape[2]] != 0
+        results.append(torch.where(is_marked, row(own, b)[0, :, None, None].to(x.dtype), x))
+    return results
+
+
+def _marked_gradients(
+    needs: Sequence[bool], grads: Sequence[Tensor], images: Sequence[Tensor], marks: Tensor, values: Tensor
+) -> list[Any]:
+    kept = erase_marked_list(grads, marks, torch.zeros_like(values))
+    if not needs[2]:
+        return [kept, None, None]
+    of_values = [(g - own).to(values.dtype).sum((1, 2)) for g, own in zip(grads, kept)]
+    return [kept, None, torch.stack(of_values).sum_to_size(values.shape)]
+
+
+erase_marked_list = ListOperator(
+    "erase_marked_list",
+    erase_rectangles,
+    _marked_reference,
+    fake=lambda images, *args: fake_results(images, sizes(images)),
+    backward=_marked_gradients,
+)

@@ -26,6 +26,7 @@ class TestDropObjectsOperators(PointOpTests):
                     lambda: connected_components((masks() != 0).byte()),
                     lambda: torch.tensor(5.0),
                     lambda: torch.tensor(2.0),
+                    lambda: torch.tensor(7),
                 ),
                 (3,),
                 broadcasts=False,
@@ -44,7 +45,7 @@ def test_the_highest_ranks_are_dropped(number, device):
     x[4] = 0
     words, counts = torch.tensor([3.0, 7.0, 2**24 - 1.0, 0.0, 1.0]), torch.tensor([1.0, 4.0, 0.0, 50.0, 2.0])
     regions = connected_components((x != 0).byte()) if number == 1 else None
-    arguments = x, regions, words, counts
+    arguments = x, regions, words, counts, None
     y = drop_objects(*(None if a is None else a.to(device) for a in arguments), 50).cpu()
     assert torch.equal(y, drop_objects.reference(*arguments, 50))
     assert torch.equal(
@@ -69,7 +70,9 @@ def test_hash_is_that_of_draws(device):
     x = torch.tensor([[1, 0], [0, 1]])[None, :, None].to(device)
     for word in range(8):
         ranks = mixed_words(torch.arange(2) ^ mixed_words(torch.tensor(word)))
-        dropped = drop_objects(x, None, torch.tensor([float(word)], device=device), torch.ones(1, device=device), 1)
+        dropped = drop_objects(
+            x, None, torch.tensor([float(word)], device=device), torch.ones(1, device=device), None, 1
+        )
         assert dropped.flatten().tolist() == [int(ranks[0] > ranks[1]), int(ranks[1] > ranks[0])]
 
 

@@ -10,33 +10,36 @@ import torch
 from torch import Generator, Tensor
 from torch.compiler import is_compiling
 
-from kvision._dtype import compute_dtype
-from kvision._ops import register
+from kvision._ops import FLOATS, FastPath, register
 from kvision.augmentation import ranges
 from kvision.augmentation.draws import mixed_words
 from kvision.augmentation.engine import Execution, Params, check_images
+from kvision.augmentation.erase import erase_marked_list
 from kvision.augmentation.keys import Seed
 from kvision.augmentation.labels import masks_as_batch
 from kvision.augmentation.lists.sides import rows_on_device
-from kvision.augmentation.maps import copied_each, read_displaced_list
 from kvision.augmentation.occlusion.dropout_base import DropoutBase
 from kvision.augmentation.random_generator.mapped import MappedGenerator
 from kvision.augmentation.random_generator.occlusion import fill_maps
 from kvision.augmentation.ranges import Numbers
-from kvision.augmentation.warp_and_color import Resampling
 from kvision.contrib.connected_components import connected_components
 from kvision.geometry.transform.lists.arguments import largest_shape, like_batch
-from kvision.geometry.transform.lists.remap_list import packed
 
 
-def _reference(masks: Tensor, components: Tensor | None, words: Tensor, counts: Tensor, most: int) -> Tensor:
+def _reference(
+    masks: Tensor, components: Tensor | None, words: Tensor, counts: Tensor, widths: Tensor | None, most: int
+) -> Tensor:
     """1 where an object of masks (B, N, H, W) int64 is dropped, bytes (B, 1, H, W).
 
     An object is what a mask has that is not 0; with `components` (B, 1, H, W) int64, the numbers of regions of one mask a sample,
     it is what a region has of one value. Every object has a random rank, by the words (B,); those of the highest `counts` (B,)
-    ranks, at most `most`, are dropped.
+    ranks, at most `most`, are dropped. `widths` (B,) int64 are those of images that are padded on the right: their regions have the
+    numbers that they have without padding.
     """
     is_inside = masks != 0
+    if components is not None and widths is not None:
+        padding = masks.shape[-1] - widths[:, None, None, None]
+        components = components - (components - 1).div(masks.shape[-1], rounding_mode="trunc") * padding
     if components is None:
         objects = torch.arange(masks.shape[1], device=masks.device)[:, None, None]
     else:
@@ -58,6 +61,11 @@ drop_objects = register(
     non_differentiable=(0,),
     labels=True,
     casts_outputs=True,
+)
+# Masks (N, h, w) or (h, w) of one type as int64 (B, N, height, width), and their widths (B,).
+_number_masks = FastPath(
+    "number_masks",
+    (torch.bool, torch.uint8, torch.int8, torch.int16, torch.int32, torch.int64, *FLOATS),
 )
 
 
@@ -146,14 +154,16 @@ class MaskDropout(DropoutBase, keeps_contract=True):
             return torch.zeros((len(x), 1, *x.shape[-2:]), dtype=torch.bool, device=x.device)
         masks, components = _as_integers(labels[0].to(x.device)), None
         if masks.shape[1] == 1:
-            components = connected_components((masks != 0).byte())
+            components = connected_components((masks != 0).view(torch.uint8))
         return self._dropped_of(masks, components, execution)
 
-    def _dropped_of(self, masks: Tensor, components: Tensor | None, execution: Execution) -> Tensor:
+    def _dropped_of(
+        self, masks: Tensor, components: Tensor | None, execution: Execution, widths: Tensor | None = None
+    ) -> Tensor:
         assert execution.columns is not None
         params = self._named(execution.columns.values, execution)
         words, counts = (params[name].to(masks.device, torch.float32) for name in ("word", "objects"))
-        hit: Tensor = drop_objects(masks, components, words, counts, self.max_objects[1])
+        hit: Tensor = drop_objects(masks, components, words, counts, widths, self.max_objects[1])
         return hit.view(torch.bool)
 
     @staticmethod
@@ -180,13 +190,9 @@ class MaskDropout(DropoutBase, keeps_contract=True):
         _warn_without(masks)
         dropped = torch.zeros(len(images), 1, height, width, dtype=torch.bool, device=images[0].device)
         if masks is not None and execution.columns is not None and 0 not in masks[0].shape:
-            padded, sides = _padded(masks, height, width, images[0].device)
-            components = None
-            if padded.shape[1] == 1:
-                first = connected_components((padded != 0).byte()) - 1  # of its pixels, counted in the padded plane
-                own = first // width * sides[:, 1, None, None, None] + first % width
-                components = torch.where(first < 0, 0, own + 1)
-            dropped = self._dropped_of(padded, components, execution)
+            padded, widths = _padded(masks, height, width, images[0].device)
+            components = connected_components((padded != 0).view(torch.uint8)) if padded.shape[1] == 1 else None
+            dropped = self._dropped_of(padded, components, execution, widths)
             if execution.chosen is not None:
                 dropped = dropped & execution.chosen[:, None, None, None]
         execution.found = self._found(dropped)
@@ -196,17 +202,9 @@ class MaskDropout(DropoutBase, keeps_contract=True):
         return not isinstance(self.fill, str) and not self._is_customized()
 
     def _run_list(self, images: Sequence[Tensor], execution: Execution) -> list[Tensor]:
-        """Pixels that are dropped read beyond the image, where the fill is."""
-        like = like_batch(images)
-        self._values(like, {})  # which checks the fill
-        own = compute_dtype(like)
-        beyond = (execution.found or {})["dropped"].to(own) * _BEYOND
-        moves = [of_image[:, : x.shape[1], : x.shape[2]].expand(2, -1, -1) for of_image, x in zip(beyond, images)]
-        displacements = packed(copied_each(moves))
-        return read_displaced_list(images, displacements, Resampling("nearest", "fill", True, self.fill))
-
-
-_BEYOND = 2.0**24  # pixels
+        values = self._values(like_batch(images), {})[:, :, 0, 0]
+        dropped = (execution.found or {})["dropped"].to(images[0].device)
+        return list(erase_marked_list(images, dropped.view(torch.uint8), values))
 
 
 def _masks_of(context: Any) -> Any:
@@ -232,10 +230,11 @@ def _as_integers(masks: Tensor) -> Tensor:
 
 
 def _padded(masks: Sequence[Tensor], height: int, width: int, device: torch.device) -> tuple[Tensor, Tensor]:
-    """Masks (N, h, w) or (h, w) of any type as (B, N, H, W) int64, 0 beyond each, and the sides (B, 2) of each.
-
-    They are joined, and then each pixel reads its number: as many launches whatever their number.
-    """
+    """Masks (N, h, w) or (h, w) of any type as (B, N, H, W) int64, 0 beyond each, and the widths (B,)."""
+    if _number_masks.serves(masks[0]) and masks[0].device == device:
+        numbers: tuple[Tensor, Tensor] = _number_masks.kernel(list(masks), height, width)
+        return numbers
+    # They are joined, and then each pixel reads its number.
     channels = masks[0].shape[0] if masks[0].dim() == 3 else 1
     begins, rows = 0, []
     for mask in masks:
@@ -248,4 +247,4 @@ def _padded(masks: Sequence[Tensor], height: int, width: int, device: torch.devi
     y, channel = y[:, None], channel[:, None, None]
     is_inside = (y < h) & (x < w)
     at = torch.where(is_inside, begin + (channel * h + y) * w + x, 0)
-    return torch.where(is_inside, joined[at], 0), of_each[:, :2]
+    return torch.where(is_inside, joined[at], 0), of_each[:, 1]

@@ -145,10 +145,12 @@ Tensor empty(torch::headeronly::IntHeaderOnlyArrayRef sizes, Tensor const& like,
     strides[axis] = stride;
     stride *= size > 1 ? size : 1;
   };
-  if (layout == Layout::channels_last)
-    for (size_t axis : {1, 3, 2, 0}) add(axis);
-  else
-    for (size_t axis = sizes.size(); axis-- > 0;) add(axis);
+  size_t rest = sizes.size();
+  if (layout == Layout::channels_last) {
+    rest -= 3;
+    for (size_t axis : {0, 2, 1}) add(rest + axis);
+  }
+  while (rest-- > 0) add(rest);
   int32_t dtype, device_type;
   TORCH_ERROR_CODE_CHECK(aoti_torch_get_dtype(like.get(), &dtype));
   TORCH_ERROR_CODE_CHECK(aoti_torch_get_device_type(like.get(), &device_type));

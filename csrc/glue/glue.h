@@ -71,8 +71,8 @@ Tensor dense(Tensor const& x);
 // `x` itself where a kernel can read it in `layout`, else a copy that it can.
 Tensor as_layout(Tensor const& x, Layout layout);
 
-// Uninitialized memory of the device and, unless told otherwise, the dtype of `like`, dense. `sizes` of four axes are
-// laid out as `layout` says.
+// Uninitialized memory of the device and, unless told otherwise, the dtype of `like`, dense. `sizes` of images
+// (B, C, H, W) or (C, H, W) are laid out as `layout` says.
 Tensor empty(torch::headeronly::IntHeaderOnlyArrayRef sizes, Tensor const& like, Layout layout = Layout::planar,
              std::optional<ScalarType> type = {});
 Tensor empty_like(Tensor const& x, Layout layout);

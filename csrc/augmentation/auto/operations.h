@@ -132,30 +132,32 @@ struct ChooseOperations {
   }
 };
 
+constexpr int kMixedValues = 4096;  // of an item
+
 // Adds the results of a chain of operations to the mixtures of a list, of which it is the first or a further chain. The
-// images and the results are dense; results, chains and sums are blocks of memory with the images at the same places.
+// images and the results are dense; chains and sums are blocks of memory with whole items for each image.
 template <class T>
 struct MixOperations {
   ListedSamples list;
-  T const *results, *chains;
+  T const* chains;
   float* sums;                           // of mixtures that have further chains
   float const *weights, *image_weights;  // of the chain and of the image itself, of each sample
   int64_t weight_stride;
   bool is_first, is_last;
 
-  // Of V values of a sample, at `at` in the blocks. As operators would that multiply and add one after the other.
+  // Of V values of a sample. As operators would that multiply and add one after the other.
   template <class V>
   KV_HD V sum(int b, V image, V chain, V sum) const {
     int64_t const own = b * weight_stride;
     V const before = is_first ? product(image, image_weights[own]) : sum;
     return before + product(chain, weights[own]);
   }
-  KV_HD int64_t place_of(int b) const { return static_cast<T const*>(list.results[b].data) - results; }
+  // Where a sample begins in the blocks.
+  KV_HD int64_t begin_of(int b) const { return list.first[b] * int64_t(kMixedValues); }
   KV_HD int64_t values_of(int b) const {
     return kImageChannels * int64_t(list.results[b].height) * list.results[b].width;
   }
 };
-constexpr int kMixedValues = 4096;  // of an item
 
 KV_KERNEL(apply_operations, ApplyOperations)
 // On the CPU an item is a sample, on CUDA a block of tiles of one.

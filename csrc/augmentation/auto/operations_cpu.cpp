@@ -208,7 +208,7 @@ void mix_operations_list(MixOperations<T> const& p, int64_t begin, int64_t end) 
     int const b = p.list.sample_of(int(item));
     T const* const image = static_cast<T const*>(p.list.images[b].data);
     T* const result = static_cast<T*>(p.list.results[b].data);
-    int64_t const place = p.place_of(b), first = (item - p.list.first[b]) * kMixedValues;
+    int64_t const place = p.begin_of(b), first = (item - p.list.first[b]) * kMixedValues;
     T const* const chain = p.chains + place;
     float* const sums = p.sums + place;
     int64_t const last = min(first + kMixedValues, p.values_of(b));

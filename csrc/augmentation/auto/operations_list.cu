@@ -36,16 +36,16 @@ __global__ void __launch_bounds__(kMixThreads) mix_chain(__grid_constant__ MixOp
   int const b = p.list.sample_of(int(blockIdx.x));
   T const* const image = static_cast<T const*>(p.list.images[b].data);
   T* const result = static_cast<T*>(p.list.results[b].data);
-  int64_t const place = p.place_of(b), first = (int64_t(blockIdx.x) - p.list.first[b]) * kMixedValues,
+  int64_t const begin = p.begin_of(b), first = (int64_t(blockIdx.x) - p.list.first[b]) * kMixedValues,
                 last = min(first + kMixedValues, p.values_of(b));
 #pragma unroll 4
   for (int64_t i = first + threadIdx.x; i < last; i += kMixThreads) {
-    float const own = p.is_first ? read(image[i]) : 0, before = p.is_first ? 0 : p.sums[place + i];
-    float const sum = p.sum(b, own, read(p.chains[place + i]), before);
+    float const own = p.is_first ? read(image[i]) : 0, before = p.is_first ? 0 : p.sums[begin + i];
+    float const sum = p.sum(b, own, read(p.chains[begin + i]), before);
     if (p.is_last)
       result[i] = round_to<T>(sum);
     else
-      p.sums[place + i] = sum;
+      p.sums[begin + i] = sum;
   }
 }
 

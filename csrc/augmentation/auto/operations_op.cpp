@@ -118,21 +118,28 @@ std::tuple<Tensor, Tensor> apply_operations(Tensor const& images, Tensor const& 
 
 using Listed = std::vector<ListedImage>;
 
-// Memory for images of a list, dense and without tensors of their own, which cost the host more than a launch.
+// Memory for images of a list, dense, whole items of mixtures for each, and without tensors of their own, which cost
+// the host more than a launch.
 struct ImageBlock {
   Tensor memory;
   Listed images;
 
   // As large as the results, which are listed.
   ImageBlock(geometry::KeptSizes const& kept, Listed const& results) {
-    size_t const count = kept.results.size();
-    geometry::ListSizes const sizes(kept.op, kept.sides, count);
-    std::vector<int64_t> const offsets = geometry::offsets_in_block(kImageChannels, sizes, count);
-    memory = empty({offsets[count]}, kept.largest);
-    char* const data = static_cast<char*>(memory.mutable_data_ptr());
-    int64_t const bytes = memory.element_size();
+    auto const values_of = [](ListedImage const& x) { return items_of(x.height, x.width) * kMixedValues; };
+    int64_t values = 0;
+    for (ListedImage const& x : results) values += values_of(x);
+    memory = empty({values}, kept.largest);
+    char* data = static_cast<char*>(memory.mutable_data_ptr());
     images = results;
-    for (size_t b = 0; b < count; ++b) images[b].data = data + offsets[b] * bytes;
+    for (ListedImage& x : images) {
+      x.data = data;
+      data += values_of(x) * memory.element_size();
+    }
+  }
+  // Of kMixedValues.
+  static int64_t items_of(int64_t height, int64_t width) {
+    return ceil_div(kImageChannels * height * width, int64_t(kMixedValues));
   }
 };
 
@@ -228,15 +235,12 @@ Tensors mix_operations_list(Tensors const& images, Tensor const& operation, Tens
     dispatch_joined(op, like, [&]<class T>(Type<T>) {
       MixOperations<T> p;
       p.list.interleaved = kept.interleaved();
-      p.results = static_cast<T const*>(steps.results[0].data);
-      p.chains = data_ptr<T const>(of_chain.memory);
-      p.sums = data_ptr<float>(sums);
       p.weight_stride = weights.stride(0);
       p.is_first = chain == 0, p.is_last = chain + 1 == chains;
-      auto const items_of = [&](size_t b) {
-        return ceil_div(kImageChannels * sizes[b].height * sizes[b].width, int64_t(kMixedValues));
-      };
+      auto const items_of = [&](size_t b) { return ImageBlock::items_of(sizes[b].height, sizes[b].width); };
       auto const run = [&](size_t first) {
+        p.chains = static_cast<T const*>(of_chain.images[first].data);
+        p.sums = data_ptr<float>(sums) + (p.chains - data_ptr<T const>(of_chain.memory));
         p.image_weights = data_ptr<float const>(weights) + int64_t(first) * p.weight_stride;
         p.weights = p.image_weights + (1 + chain) * weights.stride(1);
         KV_RUN(mix_operations_list, like, p, p.list.items, kMixedValues);

@@ -17,9 +17,10 @@ struct ListedImages {
   OptionalTensor const& chosen;
   Tensors images;  // in the layout of the results
 
-  // `dense`: those are copied, too, whose rows do not follow each other.
-  ListedImages(char const* op, Tensors const& images, OptionalTensor const& chosen, bool dense = false)
-      : kept(op, images),
+  // `dense`: those are copied, too, whose rows do not follow each other. `in_block`: as KeptSizes has it.
+  ListedImages(char const* op, Tensors const& images, OptionalTensor const& chosen, bool dense = false,
+               bool in_block = false)
+      : kept(op, images, in_block),
         chosen(chosen),
         images(dense ? color::in_pixel_rows(images, kept.layout) : geometry::in_layout(images, kept.layout)) {
     check_chosen(op, chosen, like());

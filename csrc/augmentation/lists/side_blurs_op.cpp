@@ -17,11 +17,11 @@ void run_with_sides([[maybe_unused]] Tensor const& like, SeparableList<T> const&
 namespace kv::augmentation {
 namespace {
 
-// Sigmas are `sigma` heights and widths of each image, windows three of them to each side.
+// Sigmas are `sigma` heights and widths of each image, windows three of them to each side. The results are one block.
 Tensors gaussian_blur2d_of_sides_list(Tensors const& images, double sigma, int64_t border_number) {
   constexpr char const* op = "gaussian_blur2d_of_sides_list";
   OptionalTensor const all_images;
-  ListedImages const list(op, images, all_images);
+  ListedImages const list(op, images, all_images, false, true);
   Tensor const& like = list.like();
   Border const border = to_border(op, border_number);
   KV_CHECK(sigma > 0 && sigma <= 0.1, op, ": expected sigma above 0 and at most 0.1 sides, got ", sigma);
@@ -39,7 +39,7 @@ Tensors gaussian_blur2d_of_sides_list(Tensors const& images, double sigma, int64
       filters::run_with_sides(like, p, cost);
     });
   });
-  return list.kept.results;
+  return {*list.kept.block};
 }
 
 }  // namespace

@@ -55,18 +55,9 @@ def read_displaced_list(
 
 def as_batch(layers: Sequence[Tensor]) -> Tensor:
     """Layers (C, H, W) of different sizes as one tensor (B, C, H, W) of the largest sides, 0 beyond each."""
-    return _placed(layers, largest_shape(layers)[2:])[0]
-
-
-def copied_each(layers: Sequence[Tensor]) -> Sequence[Tensor]:
-    """Layers (C, H, W) of any strides, in one block of memory."""
-    return _placed(layers, [n for x in layers for n in x.shape[1:]])
-
-
-def _placed(layers: Sequence[Tensor], size: Sequence[int]) -> Sequence[Tensor]:
     identity = constant(_IDENTITY, layers[0], compute_dtype(layers[0]))
     options = (INTERPOLATION["nearest"], PADDING["fill"], True, False, False)
-    return warp_list(list(layers), identity, None, list(size), *options)
+    return warp_list(list(layers), identity, None, list(largest_shape(layers)[2:]), *options)[0]
 
 
 def read(x: Tensor, coordinates: Tensor, resampling: Resampling, antialias: bool = False) -> Tensor:

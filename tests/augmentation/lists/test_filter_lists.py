@@ -10,6 +10,7 @@ from kvision._backend import current_backend
 from kvision._modes import BORDER
 from kvision.augmentation.lists.filter_lists import gaussian_blur2d_of_sides
 from kvision.filters import gaussian_blur2d
+from kvision.geometry.transform.lists.remap_list import unpacked
 from op_tests import assert_close
 
 
@@ -108,7 +109,8 @@ def test_windows_that_grow_with_the_image(dtype, layout, device):
     if layout == "interleaved":
         images = [x.permute(1, 2, 0).contiguous().permute(2, 0, 1) for x in images]
     images = [x.requires_grad_() for x in images]
-    results = gaussian_blur2d_of_sides(images, 0.01, BORDER["reflect"])
+    (block,) = gaussian_blur2d_of_sides(images, 0.01, BORDER["reflect"])
+    results = unpacked(block, [n for size in sizes for n in size], len(images[0]))
     weights = [torch.rand_like(x) for x in images]
     grads = torch.autograd.grad(sum((y * w).sum() for y, w in zip(results, weights)), images)
     for x, y, w, of_list in zip(images, results, weights, grads):

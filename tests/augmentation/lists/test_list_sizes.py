@@ -11,6 +11,8 @@ from augmentation.container.test_list_launches import calls
 from augmentation.test_lists import KEYS, assert_as_alone, assert_same, comparison, pictures, seeds_of
 from benchmarks.timing import launches
 from kvision import augmentation as A
+from kvision.augmentation import auto
+from op_tests import assert_close
 
 SIZES = ((16, 20), (24, 31), (16, 20), (27, 27), (40, 18))
 
@@ -188,3 +190,33 @@ def test_lists_of_sizes_of_their_own_have_graphs(augment, device):
         images = pictures(device, sizes)
         assert all(torch.equal(a, b) for a, b in zip(compiled(images), augment(images, seed=3), strict=True))
     assert counter.frame_count <= 2
+
+    def call(*images):
+        return sum(y.square().sum() for y in augment(list(images), seed=3))
+
+    images = [x.requires_grad_() for x in pictures(device, SIZES[:2])]
+    compiled = torch.compile(call, fullgraph=True, backend="aot_eager")
+    for a, b in zip(*(torch.autograd.grad(f(*images), images) for f in (call, compiled))):
+        assert_close(a, b)
+
+
+@pytest.mark.parametrize(
+    "augment",
+    [
+        A.RandomHorizontalFlip(p=1.0),
+        A.RandomRotation(20.0, p=1.0),
+        A.RandomElasticTransform((5, 5), (2.0, 2.0), p=1.0),
+        A.RandomGaussianBlur((3, 3), (0.5, 1.0), p=1.0),
+        A.RandomErasing(p=1.0),
+        auto.AugMix(),
+    ],
+    ids=lambda augment: type(augment).__name__,
+)
+def test_results_and_gradients_have_memory_of_their_own(augment, device):
+    """One that is kept does not keep the others, and compiled programs take no operator whose results share memory."""
+    images = pictures(device, SIZES)
+    images = images if isinstance(augment, auto.AugMix) else [x.requires_grad_() for x in images]
+    results = augment(images, seed=3)
+    gradients = torch.autograd.grad(sum(y.square().sum() for y in results), images) if results[0].requires_grad else ()
+    for each in (results, gradients):
+        assert len({x.untyped_storage().data_ptr() for x in each}) == len(each)

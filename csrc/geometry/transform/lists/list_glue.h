@@ -70,19 +70,14 @@ inline std::vector<int64_t> offsets_in_block(int64_t channels, ListSizes const& 
   return offsets;
 }
 
-// Results (C, h, w), of a size each, of the type of `like` or of another one. They share a block of memory, because an
-// allocation costs the host more than a view. `like` is a batch.
+// Results (C, h, w), of a size each, of the type of `like` or of another one. Each has memory of its own: results of an
+// operator must not share any in compiled programs, and one that is kept would keep all. `like` is a batch.
 inline Tensors empty_list(Tensor const& like, int64_t channels, ListSizes const& sizes, size_t count, Layout layout,
                           std::optional<ScalarType> type = {}) {
   Tensors results;
   results.reserve(count);
-  std::vector<int64_t> const offsets = offsets_in_block(channels, sizes, count);
-  Tensor const block = empty({offsets[count]}, like, Layout::planar, type.value_or(like.scalar_type()));
-  for (size_t b = 0; b < count; ++b) {
-    int64_t const h = sizes[b].height, w = sizes[b].width;
-    int64_t const planar[] = {h * w, w, 1}, interleaved[] = {1, w * channels, channels};
-    results.push_back(view_of(block, {channels, h, w}, layout == Layout::planar ? planar : interleaved, offsets[b]));
-  }
+  for (size_t b = 0; b < count; ++b)
+    results.push_back(empty({channels, sizes[b].height, sizes[b].width}, like, layout, type));
   return results;
 }
 
@@ -117,15 +112,17 @@ void for_each_table(ListedSamples& list, size_t count, ImageOf image_of, ResultO
   }
 }
 
-// A list of images (C, H, W) whose results have their sizes and their type.
+// A list of images (C, H, W) whose results have their sizes and their type: each with memory of its own, or,
+// `in_block`, dense ones that follow each other in one block.
 struct KeptSizes {
   char const* op;
   std::vector<int64_t> sides;
   Tensor largest;  // stands for a batch (B, C, H, W) in checks
   Layout layout;
   Tensors results;
+  std::optional<Tensor> block;
 
-  KeptSizes(char const* op, Tensors const& images) : op(op) {
+  KeptSizes(char const* op, Tensors const& images, bool in_block = false) : op(op) {
     check_image_list(op, "images", images);
     sides.reserve(2 * images.size());
     Tensor const* most = &images[0];
@@ -136,8 +133,17 @@ struct KeptSizes {
     int64_t const count = int64_t(images.size()), channels = most->size(0);
     largest = view_of(*most, {count, channels, most->size(1), most->size(2)},
                       {0, most->stride(0), most->stride(1), most->stride(2)});
-    layout = layout_of(as_batch(images[0]));
-    results = empty_list(largest, channels, {op, sides, images.size()}, images.size(), layout);
+    ListSizes const sizes(op, sides, images.size());
+    if (in_block) {
+      layout = Layout::planar;
+      std::vector<int64_t> const offsets = offsets_in_block(channels, sizes, images.size());
+      block = empty({offsets.back()}, largest);
+      for (size_t b = 0; b < images.size(); ++b)
+        results.push_back(view_of(*block, {channels, sizes[b].height, sizes[b].width}, offsets[b]));
+    } else {
+      layout = layout_of(as_batch(images[0]));
+      results = empty_list(largest, channels, sizes, images.size(), layout);
+    }
   }
   bool interleaved() const { return layout == Layout::channels_last; }
 

@@ -7,15 +7,16 @@
 
 namespace kv::geometry {
 
-// Results and maps lie in a block of memory each, where each begins at a multiple of so many elements.
+// Maps lie in a block of memory, where each begins at a multiple of so many elements.
 constexpr int kBlockUnit = 16;
 
-// What is read for each of `count` samples, and where what is written and its map (2, H, W) begin in their blocks.
+// What is read and what is written for each of `count` samples, and where its map (2, H, W) begins in the block.
 struct MappedSamples {
   int count, items;
   bool interleaved;  // results
   ListedImage images[kMaxListed];
-  uint32_t results[kMaxListed], maps[kMaxListed];  // in units
+  void* results[kMaxListed];
+  uint32_t maps[kMaxListed];  // in units
   int first[kMaxListed];
 
   KV_HD int sample_of(int item) const {
@@ -34,7 +35,7 @@ struct MappedChannels {
   }
 };
 
-// `all` is what the samples have in common, with the blocks of results and maps.
+// `all` is what the samples have in common, with the block of maps.
 template <class T>
 struct RemapList {
   Sample<T> all;
@@ -49,7 +50,6 @@ struct RemapListBackward {
   SampleImageBackward<T> all;
   MappedSamples list;
   MappedChannels channels;
-  int64_t elements;  // of the sums
 };
 
 // The samples of one image of a size, by the map that begins at a unit of its block.
@@ -68,7 +68,7 @@ KV_HD void select_mapped(S& p, int b, uint32_t map, MappedChannels const& channe
 template <class T>
 KV_HD Sample<T> sample_at(RemapList<T> const& p, int b) {
   ListedImage const& image = p.list.images[b];
-  ListedResult const result{p.all.y.data + int64_t(kBlockUnit) * p.list.results[b], image.height, image.width};
+  ListedResult const result{p.list.results[b], image.height, image.width};
   Sample<T> one = p.all;
   select_mapped(one, b, p.list.maps[b], p.channels, {image.height, image.width});
   one.x = p.channels.of(images_of<T>(image, p.channels.count));
@@ -81,10 +81,9 @@ KV_HD SampleImageBackward<T> sample_at(RemapListBackward<T> const& p, int b) {
   ListedImage const& grad = p.list.images[b];
   SampleImageBackward<T> one = p.all;
   select_mapped(one, b, p.list.maps[b], p.channels, {grad.height, grad.width});
-  one.sums += int64_t(kBlockUnit) * p.list.results[b];
   one.grad = p.channels.of(images_of<T>(grad, p.channels.count));
-  auto const sums =
-      p.channels.of(images_of<Compute<T>>(ListedResult{one.sums, grad.height, grad.width}, p.channels.count, false));
+  auto const sums = p.channels.of(
+      images_of<Compute<T>>(ListedResult{p.list.results[b], grad.height, grad.width}, p.channels.count, false));
   one.sums = sums.data;
   // On the CPU, where these are of one type, the sums are the gradient.
   one.grad_x = {reinterpret_cast<T*>(sums.data),

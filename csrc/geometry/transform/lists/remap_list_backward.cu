@@ -1,4 +1,4 @@
-// The gradients of the images of a list that maps read, on CUDA, in one launch after zeros, by the method of
+// The gradients of the images of a list that maps read, on CUDA, in one launch that adds to zeros, by the method of
 // sampling_image_backward.cu.
 #include "geometry/transform/lists/list_block.cuh"
 #include "geometry/transform/lists/remap_list.h"
@@ -21,14 +21,10 @@ __global__ void __launch_bounds__(32 * kScatterWarps, sizeof(T) == 8 ? 4 : 6)
 
 template <class T>
 int remap_list_backward(RemapListBackward<T> const& p, CUstream_st* stream) {
-  using F = Compute<T>;
-  if (p.channels.only <= 0) {
-    cudaError_t const error = cudaMemsetAsync(p.all.sums, 0, size_t(p.elements) * sizeof(F), stream);
-    if (error != cudaSuccess) return error;
-  }
   dispatch_taps(p.all.interpolation, [&](auto taps) {
     int const channels = p.channels.only < 0 ? p.channels.count : 1;
-    scatter_mapped<T, taps.value><<<unsigned(p.list.items), 32 * kScatterWarps, Sums<F>::bytes(channels), stream>>>(p);
+    scatter_mapped<T, taps.value>
+        <<<unsigned(p.list.items), 32 * kScatterWarps, Sums<Compute<T>>::bytes(channels), stream>>>(p);
   });
   return cudaGetLastError();
 }

@@ -1,4 +1,5 @@
 // Maps of lists of images of different sizes: schemas and entries, for CPU and CUDA.
+#include "geometry/transform/lists/list_numbers_glue.h"
 #include "geometry/transform/lists/remap_list.h"
 #include "geometry/transform/lists/warp_list_glue.h"
 
@@ -15,7 +16,7 @@ struct MappedImages {
   int64_t channels;
   SamplingOptions options;
   Tensor maps;
-  std::vector<int64_t> results, map_begins;  // where those of each image begin
+  std::vector<int64_t> map_begins;  // where those of each image begin
 
   MappedImages(char const* op, Tensors const& images, Tensor const& all_maps, std::optional<Tensor> const& fill,
                int64_t interpolation, int64_t padding, bool align_corners, bool by_channel)
@@ -30,12 +31,11 @@ struct MappedImages {
     for (size_t i = 0; i < maps_of_each * count; ++i)
       for (size_t k = 0; k < 2; ++k) of_maps.push_back(sides[2 * (i / maps_of_each) + k]);
     map_begins = offsets_in_block(2, {op, of_maps, maps_of_each * count}, maps_of_each * count);
-    results = offsets_in_block(channels, sizes(), count);
     KV_CHECK(all_maps.dim() == 1 && all_maps.size(0) == map_begins.back() &&
                  all_maps.scalar_type() == compute_dtype(like) && all_maps.device() == like.device(),
              op, ": expected maps of shape (", map_begins.back(),
              ",), of the type that is computed in, for the images");
-    KV_CHECK(std::max(map_begins.back(), results.back()) / kBlockUnit <= UINT32_MAX, op, ": expected smaller images");
+    KV_CHECK(map_begins.back() / kBlockUnit <= UINT32_MAX, op, ": expected smaller images");
     maps = dense(all_maps);
   }
   static std::vector<int64_t> sides_of(char const* op, Tensors const& images) {
@@ -57,7 +57,7 @@ struct MappedImages {
 
   // Fills tables, and calls run(first sample of the table), of all channels or of one after the other.
   template <class List, class ItemsOf, class Run>
-  void for_each_table(List& p, Tensors const& images, ItemsOf items_of, Run run) const {
+  void for_each_table(List& p, Tensors const& images, Tensors const& results, ItemsOf items_of, Run run) const {
     auto const* const fill = p.all.fill;
     p.channels.count = int(channels);
     for (size_t begin = 0; begin < count && channels > 0; begin += kMaxListed)
@@ -68,7 +68,7 @@ struct MappedImages {
         for (int i = 0; i < p.list.count; ++i) {
           size_t const b = begin + size_t(i);
           p.list.images[i] = checked_planes(op, listed(images[b]));
-          p.list.results[i] = uint32_t((results[b] - results[begin]) / kBlockUnit);
+          p.list.results[i] = results[b].mutable_data_ptr();
           p.list.maps[i] = uint32_t(map_begins[maps_of_each * b + channel] / kBlockUnit);
           p.list.first[i] = int(items);
           items += items_of(sizes()[b]);
@@ -95,10 +95,8 @@ Tensors remap_list(Tensors const& images, Tensor const& maps, std::optional<Tens
     auto const items_of = [&](Size size) {
       return kOnCuda ? blocks_of(size, p.tiles_per_block) : ceil_div(size.height, rows_of_item(size.width));
     };
-    all.for_each_table(p, readable, items_of, [&](size_t first) {
-      p.all.y.data = static_cast<T*>(results[first].mutable_data_ptr());
-      KV_RUN(remap_list, all.like, p, p.list.items, 4 * all.channels * kItemPixels);
-    });
+    all.for_each_table(p, readable, results, items_of,
+                       [&](size_t) { KV_RUN(remap_list, all.like, p, p.list.items, 4 * all.channels * kItemPixels); });
   });
   return results;
 }
@@ -108,7 +106,8 @@ Tensors remap_list_backward(Tensors const& grads, Tensor const& maps, int64_t in
                             bool align_corners, bool by_channel) {
   MappedImages const all("remap_list_backward", grads, maps, {}, interpolation, padding, align_corners, by_channel);
   ScalarType const computed = compute_dtype(all.like);
-  Tensor const sums = empty({all.results.back()}, all.like, Layout::planar, computed);
+  Tensors const sums = empty_list(all.like, all.channels, all.sizes(), all.count, Layout::planar, computed);
+  clear_sums(sums);
   // On the CPU half types are added up in float32. Expanded gradients have no rows.
   Tensors readable;
   for (Tensor const& grad : grads) {
@@ -125,10 +124,8 @@ Tensors remap_list_backward(Tensors const& grads, Tensor const& maps, int64_t in
     p.list.interleaved = false;
     int64_t const planes = all.channels / int64_t(all.maps_of_each);
     all.for_each_table(
-        p, readable, [&](Size size) { return kOnCuda ? blocks_of(size, 1) : planes; },
+        p, readable, sums, [&](Size size) { return kOnCuda ? blocks_of(size, 1) : planes; },
         [&](size_t first) {
-          p.all.sums = data_ptr<Compute<T>>(sums) + all.results[first];
-          p.elements = all.results[first + size_t(p.list.count)] - all.results[first];
           [[maybe_unused]] int64_t const cost = 8 * readable[first].size(1) * readable[first].size(2);
           KV_RUN(remap_list_backward, all.like, p, p.list.items, cost);
         });
@@ -138,15 +135,7 @@ Tensors remap_list_backward(Tensors const& grads, Tensor const& maps, int64_t in
 #else
   dispatch_compute_dtype(all.op, readable[0], run);
 #endif
-  Tensor block = sums;
-  if (computed != all.like.scalar_type()) {
-    block = empty({all.results.back()}, all.like);
-    torch::stable::copy_(block, sums);
-  }
-  Tensors gradients;
-  for (size_t b = 0; b < all.count; ++b)
-    gradients.push_back(view_of(block, {all.channels, all.sizes()[b].height, all.sizes()[b].width}, all.results[b]));
-  return gradients;
+  return sums_of_type(sums, all.like.scalar_type());
 }
 
 }  // namespace

@@ -15,13 +15,13 @@ struct SampleList {
   int tiles_per_block;  // on CUDA
 };
 
-// The gradients of the images: the list has those of the results, and what is written.
+// The gradients of the images: the list has those of the results, and what is written; on CUDA what is added to, zeros,
+// unless pixels beyond the images are a fill.
 template <class T>
 struct SampleListBackward {
   SampleImageBackward<T> all;
   ListedSamples list;
   int tiles_per_block;  // on CUDA
-  int64_t elements;     // of the sums, which are one block of memory
 };
 
 // The samples of one image, of which sample b is the only one.

@@ -1,4 +1,4 @@
-// The gradients of the images of a list on CUDA, in one launch after zeros, by the methods of
+// The gradients of the images of a list on CUDA, in one launch, by the methods of
 // sampling_image_backward.cu.
 #include "geometry/transform/lists/list_block.cuh"
 #include "geometry/transform/sampling_blocks/gather.cuh"
@@ -36,8 +36,6 @@ template <class T>
 int sample_list_backward(SampleListBackward<T> const& p, CUstream_st* stream) {
   int const channels = p.all.grad.channels;
   if (p.all.x_axis.padding != Padding::fill) {
-    cudaError_t const error = cudaMemsetAsync(p.all.sums, 0, size_t(p.elements) * sizeof(Compute<T>), stream);
-    if (error != cudaSuccess) return error;
     dispatch_taps(p.all.interpolation, [&](auto taps) {
       scatter_list<T, taps.value>
           <<<unsigned(p.list.items), 32 * kScatterWarps, Sums<Compute<T>>::bytes(channels), stream>>>(p);

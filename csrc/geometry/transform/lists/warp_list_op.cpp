@@ -1,4 +1,5 @@
 // Warps by a matrix of lists of images of different sizes: schemas and entries, for CPU and CUDA.
+#include "geometry/transform/lists/list_numbers_glue.h"
 #include "geometry/transform/lists/warp_list_glue.h"
 #include "geometry/transform/warp_glue.h"
 
@@ -55,10 +56,10 @@ Tensors warp_list_backward(Tensors const& grads, Tensor const& matrix, std::vect
                           {op, {}, batch, batch, like});
   Matrix const m(op, matrix, like, batch, inverse, normalized, align_corners, {1, 1}, {1, 1});
 
-  // One block of memory for all images.
-  std::vector<int64_t> const offsets = offsets_in_block(channels, sizes, count);
   bool const writes_once = padding == Padding::fill;
-  Tensor sums = empty({offsets[count]}, like, Layout::planar, writes_once ? like.scalar_type() : compute_dtype(like));
+  Tensors const sums =
+      empty_list(like, channels, sizes, count, Layout::planar, writes_once ? like.scalar_type() : compute_dtype(like));
+  if (!writes_once) clear_sums(sums);
   BatchOrList const inputs(promoted);
   auto const run = [&]<class T>(Type<T>) {
     SampleListBackward<T> p;
@@ -67,14 +68,9 @@ Tensors warp_list_backward(Tensors const& grads, Tensor const& matrix, std::vect
     p.list.interleaved = false;
     p.tiles_per_block = writes_once ? tiles_per_block_of(sizes, count) : 1;
     Sampling<T> const all = p.all;
-    char* const data = static_cast<char*>(sums.mutable_data_ptr());
     for_each_table(
         p.list, count, [&](size_t b) { return checked_planes(op, inputs[b]); },
-        [&](size_t b) {
-          int64_t const h = sizes[b].height, w = sizes[b].width;
-          void const* const to = data + offsets[b] * sums.element_size();
-          return checked_planes(op, {to, h * w, w, 1, int(h), int(w)});
-        },
+        [&](size_t b) { return checked_planes(op, listed(sums[b])); },
         [&](size_t b) {
           ListedImage const grad = inputs[b];
           return kOnCuda ? blocks_of(writes_once ? sizes[b] : Size{grad.height, grad.width}, p.tiles_per_block)
@@ -82,8 +78,6 @@ Tensors warp_list_backward(Tensors const& grads, Tensor const& matrix, std::vect
         },
         [&](size_t first) {
           skip_samples<T>(p.all, all, int64_t(first));
-          p.all.sums = writes_once ? nullptr : reinterpret_cast<Compute<T>*>(data) + offsets[first];
-          p.elements = offsets[first + size_t(p.list.count)] - offsets[first];
           [[maybe_unused]] int64_t const cost = 8 * inputs[first].height * int64_t(inputs[first].width);
           KV_RUN(sample_list_backward, like, p, p.list.items, cost);
         });
@@ -94,16 +88,7 @@ Tensors warp_list_backward(Tensors const& grads, Tensor const& matrix, std::vect
 #else
     dispatch_compute_dtype(op, like, run);
 #endif
-  Tensor all = sums;
-  if (sums.scalar_type() != grads[0].scalar_type()) {
-    all = empty({offsets[count]}, grads[0]);
-    torch::stable::copy_(all, sums);
-  }
-  Tensors results;
-  results.reserve(count);
-  for (size_t b = 0; b < count; ++b)
-    results.push_back(view_of(all, {channels, sizes[b].height, sizes[b].width}, offsets[b]));
-  return results;
+  return sums_of_type(sums, grads[0].scalar_type());
 }
 
 }  // namespace

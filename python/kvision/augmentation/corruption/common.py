@@ -49,7 +49,6 @@ from kvision.filters.filter2d import filter_arguments
 from kvision.filters.smoothing.gaussian import blur_arguments, gaussian_blur2d
 from kvision.geometry.transform.lists.arguments import largest_shape, sizes
 from kvision.geometry.transform.lists.kept_sizes import Operation, Operations
-from kvision.geometry.transform.lists.remap_list import packed
 
 Images: TypeAlias = Sequence[Tensor] | None
 
@@ -267,8 +266,8 @@ class Displaced(NamedTuple):
 def _elastic_transform(like: Tensor, drawn: Params, images: Images, alpha: float) -> Displaced:
     noise = drawn["noise"]
     if images is not None:
-        blurred = filter_lists.gaussian_blur2d_of_sides(noise, _SIGMA, BORDER["reflect"])
-        return Displaced(packed([x.detach() for x in blurred]))
+        (blurred,) = filter_lists.gaussian_blur2d_of_sides(noise, _SIGMA, BORDER["reflect"])
+        return Displaced(blurred.detach())
     sigma = like.shape[-2] * _SIGMA, like.shape[-1] * _SIGMA
     sides = 2 * int(3 * sigma[0] + 0.5) + 1, 2 * int(3 * sigma[1] + 0.5) + 1
     return Displaced(gaussian_blur2d(noise, sides, sigma))

@@ -15,8 +15,9 @@ from kvision.enhance.sharpness import _sharpness_backward
 from kvision.filters.filter2d import _filter2d as filter2d
 from kvision.filters.filter2d import _filter2d_backward, _kernel_backward, clamped_gradients, filter2d_clamped
 from kvision.filters.smoothing import box, gaussian, median
-from kvision.geometry.transform.lists.arguments import fake_results, halves, row, sizes
+from kvision.geometry.transform.lists.arguments import halves, row, sizes
 from kvision.geometry.transform.lists.kept_sizes import register_filter, register_list_backward
+from kvision.geometry.transform.lists.remap_list import packed, packed_size, unpacked
 
 box_blur, gaussian_blur2d, median_blur = box._box_blur, gaussian._gaussian_blur2d, median._median_blur
 
@@ -89,7 +90,8 @@ register_filter(
 )
 
 
-# Blurs whose windows grow with the image: sigma in heights and widths of each, and the border.
+# Blurs whose windows grow with the image: sigma in heights and widths of each, and the border. The results are one tensor, as maps
+# of lists are.
 
 
 def _windows(x: Tensor, sigma: float) -> tuple[int, int, float, float]:
@@ -99,13 +101,13 @@ def _windows(x: Tensor, sigma: float) -> tuple[int, int, float, float]:
 
 
 def _of_sides(images: Sequence[Tensor], sigma: float, border: int) -> list[Tensor]:
-    return [gaussian_blur2d.reference(x[None], None, *_windows(x, sigma), border)[0] for x in images]
+    return [packed([gaussian_blur2d.reference(x[None], None, *_windows(x, sigma), border)[0] for x in images])]
 
 
 def _of_sides_backward(
     needs: Sequence[bool], grads: Sequence[Tensor], images: Sequence[Tensor], sigma: float, border: int
 ) -> list[Any]:
-    each = zip(grads, images)
+    each = zip(unpacked(grads[0], sizes(images), len(images[0])), images)
     return [[gaussian._transposed(g[None], None, *_windows(x, sigma), border)[0] for g, x in each]]
 
 
@@ -113,6 +115,6 @@ gaussian_blur2d_of_sides = ListOperator(
     "gaussian_blur2d_of_sides_list",
     gaussian_blur2d,
     _of_sides,
-    fake=lambda images, *args: fake_results(images, sizes(images)),
+    fake=lambda images, *args: [images[0].new_empty(packed_size(sizes(images), images[0].shape[0]))],
     backward=_of_sides_backward,
 )

@@ -9,7 +9,6 @@ import kvision as K
 from geometry.transform.lists.test_warp_list import TYPES, pictures
 from kvision._dtype import compute_dtype
 from kvision._modes import INTERPOLATION, PADDING
-from kvision.augmentation.maps import copied_each
 from kvision.geometry.transform import sampling
 from kvision.geometry.transform.lists.remap_list import packed, packed_size, remap_list, remap_list_backward, unpacked
 from op_tests import assert_close
@@ -131,13 +130,9 @@ def test_arguments(device):
         )
 
 
-def test_maps_that_lie_in_a_block_are_not_copied(device, backend):
+def test_maps_of_a_list_are_one_tensor(device):
     sizes = [(3, 4), (5, 2), (16, 8), (1, 1)]
-    given = [torch.rand(2, *size, device=device) for size in sizes]
-    placed = copied_each(given)
-    block = packed(placed)
-    assert backend == "reference" or block.data_ptr() == placed[0].data_ptr()
-    for maps in (given, placed, placed[1:], placed[::2], [placed[0], placed[0]]):
-        sides = [n for own in maps for n in own.shape[1:]]
-        assert len(packed(maps)) == packed_size(sides)
-        assert all(map(torch.equal, unpacked(packed(maps), sides), maps))
+    maps = [torch.rand(2, *size, device=device) for size in sizes]
+    sides = [n for size in sizes for n in size]
+    assert len(packed(maps)) == packed_size(sides)
+    assert all(map(torch.equal, unpacked(packed(maps), sides), maps))

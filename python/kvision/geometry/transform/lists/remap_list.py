@@ -11,7 +11,6 @@ from typing import Any
 import torch
 import torch.nn.functional as F
 from torch import Tensor
-from torch.compiler import is_compiling
 
 from kvision._list_ops import ListOperator
 from kvision.geometry.transform import sampling
@@ -24,30 +23,23 @@ _UNIT = 16
 
 
 def packed(maps: Sequence[Tensor]) -> Tensor:
-    """Maps (2, H, W) as one tensor: the block of memory that they lie in, as operators on lists give them, or a copy."""
-    first, begin = maps[0], 0
-    if not is_compiling() and type(first) is Tensor and not any(own.requires_grad for own in maps):
-        for own in maps:
-            if own.data_ptr() != first.data_ptr() + begin * first.element_size() or not own.is_contiguous():
-                break
-            begin += own.numel() + -own.numel() % _UNIT
-        else:
-            offset = first.storage_offset()
-            if first.untyped_storage().nbytes() >= (offset + begin) * first.element_size():
-                return first.as_strided((begin,), (1,), offset)
+    """Maps (C, H, W) as one tensor."""
     return torch.cat([F.pad(own.flatten(), (0, -own.numel() % _UNIT)) for own in maps])
 
 
-def packed_size(sides: Sequence[int]) -> int:
+def packed_size(sides: Sequence[int], channels: int = 2) -> int:
     """How many numbers the maps for height and width of each take."""
-    return sum(2 * h * w + -2 * h * w % _UNIT for h, w in zip(sides[::2], sides[1::2]))
+    return sum(_counts(sides, channels))
 
 
-def unpacked(maps: Tensor, sides: Sequence[int]) -> list[Tensor]:
-    """The maps (2, H, W) for height and width of each."""
-    sizes = list(zip(sides[::2], sides[1::2]))
-    counts = [2 * h * w + -2 * h * w % _UNIT for h, w in sizes]
-    return [own[: 2 * h * w].view(2, h, w) for own, (h, w) in zip(maps.split(counts), sizes)]
+def unpacked(maps: Tensor, sides: Sequence[int], channels: int = 2) -> list[Tensor]:
+    """The maps (C, H, W) for height and width of each."""
+    each = zip(maps.split(_counts(sides, channels)), sides[::2], sides[1::2])
+    return [own[: channels * h * w].view(channels, h, w) for own, h, w in each]
+
+
+def _counts(sides: Sequence[int], channels: int) -> list[int]:
+    return [channels * h * w + -channels * h * w % _UNIT for h, w in zip(sides[::2], sides[1::2])]
 
 
 def _samples(images: Sequence[Tensor], maps: Tensor, fill: Tensor | None, by_channel: bool) -> list[tuple[Any, ...]]:

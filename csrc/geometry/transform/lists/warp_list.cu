@@ -2,6 +2,7 @@
 // batches do.
 #include "geometry/transform/lists/list_block.cuh"
 #include "geometry/transform/sampling_blocks/sample.cuh"
+#include "geometry/transform/sampling_blocks/sample_bytes.cuh"
 
 namespace kv::geometry::cuda {
 namespace {
@@ -16,10 +17,40 @@ __global__ void __launch_bounds__(kThreads, kBlocks<T, K>)
   sample_block<K, false, Aligned>(block.sample, block.tiles);
 }
 
+__global__ void __launch_bounds__(kThreads, 4)
+    sample_byte_list_tiles(__grid_constant__ SampleList<uint8_t> const p, int tiles_per_block) {
+  using Block = ListBlock<Sample<uint8_t>>;
+  __shared__ __align__(16) unsigned char memory[sizeof(Block)];
+  __shared__ ByteBlock parts;
+  extern __shared__ __align__(16) unsigned char shared_pixels[];
+  Block const& block =
+      Block::make(memory, p, tiles_per_block, [](Sample<uint8_t> const& s) -> Size { return {s.y.height, s.y.width}; });
+  Sample<uint8_t> const& sample = block.sample;
+  parts.prepare<false>(
+      sample, shared_pixels, 0, tiles_per_block,
+      [&](int number, int& x, int& y) {
+        Tile<float> tile;
+        tile.locate(block.tiles, number);
+        x = tile.x;
+        y = tile.y;
+      },
+      [&](int64_t) { return sample.coords.matrices; });
+  if (rows_are_words(sample.y))
+    parts.sample<true>(sample, shared_pixels);
+  else
+    parts.sample<false>(sample, shared_pixels);
+}
+
 }  // namespace
 
 template <class T>
 int sample_list(SampleList<T> const& p, CUstream_st* stream) {
+  if constexpr (sizeof(T) == 1) {
+    if (p.all.interpolation == Interpolation::bilinear) {
+      sample_byte_list_tiles<<<unsigned(p.list.items), kThreads, ByteSource::kBytes, stream>>>(p, p.tiles_per_block);
+      return cudaGetLastError();
+    }
+  }
   int const channels = p.all.x.channels;
   with_alignment<T>(images_are_aligned<T>(p.list, channels), [&](auto aligned) {
     dispatch_taps(p.all.interpolation, [&](auto taps) {

@@ -1,0 +1,412 @@
+// What a block of threads samples of bytes by a matrix on CUDA, bilinearly and in fixed point. The source tile has a
+// word for each pixel, whose bytes are up to four of its channels: a tap is one load, and two instructions add the four
+// taps of a channel. The result of a pixel depends on neither tiles nor the alignment of rows.
+#pragma once
+
+#include "geometry/transform/matrix_formula.cuh"
+#include "geometry/transform/sample_unstaged.cuh"
+#include "geometry/transform/source_tile.cuh"
+
+namespace kv::geometry::cuda {
+namespace {
+
+// --- fixed point -----------------------------------------------------------------------------------------------------
+
+// A coordinate, relative to the (u, v) of its tile, in multiples of 2^-15. Coordinates within kByteReach are the last
+// bits of a float.
+constexpr int kCoordBits = 15;
+constexpr int kByteReach = 126;
+constexpr uint32_t kFirstCell = 0x43c00000u >> kCoordBits;  // of coordinate 0
+__device__ __forceinline__ uint32_t near_fixed(float x) { return __float_as_uint(x + 384.f); }
+
+// Whether coordinates are multiples of 1/16 wherever the output's pixel lies. Many results are then midway between two
+// levels. In floats they are exact, and rounded to the even one.
+__device__ __forceinline__ bool is_dyadic(Homography<float> const& map) {
+  bool dyadic = map.affine;
+#pragma unroll
+  for (int i = 0; i < 6; ++i) dyadic = dyadic && vfloor(map.m[i] * 16) == map.m[i] * 16;
+  return dyadic;
+}
+
+// The weights of four taps: 16 bits for each of the two pixels of a row. They are not negative and add up to 2^16 - 1.
+struct ByteWeights {
+  uint32_t upper, lower;
+
+  __device__ __forceinline__ ByteWeights(uint32_t u, uint32_t v) {
+    uint32_t const x = u & 0x7fff, y = v & 0x7fff, both = (x * y + 0x3fff) >> 14;
+    lower = both * 0xffff + 2 * y;
+    upper = x * (2 * 0xffff) + 0xffff - lower;
+  }
+  // The means of N channels, in the third byte. The error before rounding is at most 0.02, and halves are rounded up.
+  template <int N>
+  __device__ __forceinline__ void means(uint32_t a, uint32_t b, uint32_t c, uint32_t d, uint32_t (&mean)[N]) const {
+    constexpr uint32_t kHalf = (1 << 15) + 255;
+    uint32_t const ab = __byte_perm(a, b, 0x5140), cd = __byte_perm(c, d, 0x5140);
+    mean[0] = __dp2a_lo(lower, cd, __dp2a_lo(upper, ab, kHalf));
+    if constexpr (N > 1) mean[1] = __dp2a_hi(lower, cd, __dp2a_hi(upper, ab, kHalf));
+    if constexpr (N > 2)
+      mean[2] = __dp2a_lo(lower, __byte_perm(c, d, 0x7362), __dp2a_lo(upper, __byte_perm(a, b, 0x7362), kHalf));
+  }
+};
+
+// N channels at a pixel of the output, from global memory: the bits of those from a source tile.
+template <int N>
+__device__ __noinline__ void sample_bytes_unstaged(Sample<uint8_t> const& p, Tile<float> const& tile, int first, int y,
+                                                   int x) {
+  float u, v;
+  tile.map.apply(float(x - tile.x), float(y - tile.y), u, v);
+  int const to_u = __float2int_rn(u * (1 << kCoordBits)), to_v = __float2int_rn(v * (1 << kCoordBits));
+  int const column = (to_u >> kCoordBits) + tile.u, row = (to_v >> kCoordBits) + tile.v;
+  bool const is_near = vabs(u) < 32768 && vabs(v) < 32768;
+  bool const inside = column >= 0 && row >= 0 && column < p.x_axis.size - 1 && row < p.y_axis.size - 1;
+  if (!is_near || is_dyadic(tile.map) || (!inside && (p.fill || p.x_axis.padding == Padding::reflection))) {
+    sample_unstaged<2, N>(p, tile, first, y, x);
+    return;
+  }
+  ByteWeights const weights(to_u, to_v);
+  uint32_t taps[4], mean[1];
+#pragma unroll 1
+  for (int k = 0; k < N; ++k) {
+    uint8_t const* const plane = p.x.row(tile.image, first + k, 0);
+#pragma unroll
+    for (int i = 0; i < 4; ++i) {
+      int const at_x = pixel_at(p.x_axis, column + i % 2), at_y = pixel_at(p.y_axis, row + i / 2);
+      bool const exists = unsigned(at_x) < unsigned(p.x_axis.size) && unsigned(at_y) < unsigned(p.y_axis.size);
+      taps[i] = exists ? plane[at_y * p.x.row_stride + at_x * p.x.step] : 0;
+    }
+    weights.means<1>(taps[0], taps[1], taps[2], taps[3], mean);
+    p.y.row(tile.b, first + k, y)[x * p.y.step] = uint8_t(mean[0] >> 16);
+  }
+}
+
+// --- source tiles ----------------------------------------------------------------------------------------------------
+
+struct ByteSource {
+  static constexpr int kPitch = 100, kRows = 96;  // of 64 x 64 pixels rotated by any angle
+  static constexpr int kGroup = 8;                // pixels that a thread loads at a time
+  static constexpr int kBytes = kPitch * kRows * 4;
+
+  uint32_t* const words;
+  int left, top, columns, rows;  // of the image
+  bool fits;
+
+  // For the box of the taps, relative to the tile's (u, v).
+  __device__ __forceinline__ ByteSource(void* memory, TapBounds const& box, Tile<float> const& tile,
+                                        Sample<uint8_t> const& p)
+      : words(static_cast<uint32_t*>(memory)),
+        left((box.left + tile.u) & -kGroup),
+        top(box.top + tile.v),
+        columns(box.right + tile.u - left + 1),
+        rows(box.bottom - box.top + 1) {
+    bool const inside =
+        left >= 0 && top >= 0 && box.right + tile.u < p.x_axis.size && box.bottom + tile.v < p.y_axis.size;
+    fits = box.left >= -kByteReach && box.top >= -kByteReach && box.right <= kByteReach && box.bottom <= kByteReach &&
+           columns <= kPitch && rows <= kRows && (inside || (p.x_axis.padding != Padding::reflection && !p.fill));
+  }
+
+  // Eight bytes at any address, by whole words.
+  static __device__ __forceinline__ void load(uint8_t const* from, bool aligned, uint32_t& a, uint32_t& b) {
+    if (aligned) {
+      uint2 const two = __ldg(reinterpret_cast<uint2 const*>(from));
+      a = two.x, b = two.y;
+      return;
+    }
+    auto const word_of = [](uint8_t const* at) {
+      return __ldg(reinterpret_cast<uint32_t const*>(at - (reinterpret_cast<uintptr_t>(at) & 3)));
+    };
+    int const shift = int(reinterpret_cast<uintptr_t>(from) & 3) * 8;
+    uint32_t const second = word_of(from + 4);
+    a = __funnelshift_r(word_of(from), second, shift);
+    b = __funnelshift_r(second, word_of(from + 7), shift);
+  }
+  // Those of a group as a word for each pixel.
+  template <int N>
+  static __device__ __forceinline__ void spread(uint32_t const (&from)[2 * N], bool interleaved, uint32_t (&to)[8]) {
+    if constexpr (N == 3) {
+      if (interleaved) {
+#pragma unroll
+        for (int i = 0; i < 2; ++i) {
+          to[4 * i] = from[3 * i];
+          to[4 * i + 1] = __funnelshift_r(from[3 * i], from[3 * i + 1], 24);
+          to[4 * i + 2] = __funnelshift_r(from[3 * i + 1], from[3 * i + 2], 16);
+          to[4 * i + 3] = from[3 * i + 2] >> 8;
+        }
+        return;
+      }
+#pragma unroll
+      for (int i = 0; i < 2; ++i) {
+        uint32_t const low = __byte_perm(from[i], from[2 + i], 0x5140),
+                       high = __byte_perm(from[i], from[2 + i], 0x7362);
+        to[4 * i] = __byte_perm(low, from[4 + i], 0x4410);
+        to[4 * i + 1] = __byte_perm(low, from[4 + i], 0x5532);
+        to[4 * i + 2] = __byte_perm(high, from[4 + i], 0x6610);
+        to[4 * i + 3] = __byte_perm(high, from[4 + i], 0x7732);
+      }
+    } else {
+      static_assert(N == 1);
+#pragma unroll
+      for (int i = 0; i < 8; ++i) to[i] = from[i / 4] >> 8 * (i % 4);
+    }
+  }
+
+  // N channels from `first` on.
+  template <int N>
+  __device__ __forceinline__ void stage(Images<uint8_t const> const& x, int64_t image, int first,
+                                        Axis<float> const& x_axis, Axis<float> const& y_axis) const {
+    constexpr int kThreadsOfRow = 16, kRowsAtOnce = kThreads / kThreadsOfRow, kLoads = 3;
+    __syncthreads();  // before the current contents are overwritten
+    int const row_stride = int(x.row_stride), step = int(x.step);
+    uint8_t const* planes[N];
+    uintptr_t bits = uintptr_t(row_stride);
+#pragma unroll
+    for (int k = 0; k < N; ++k) {
+      planes[k] = x.row(image, first + k, 0);
+      bits |= reinterpret_cast<uintptr_t>(planes[k]);
+    }
+    bool const interleaved = N == 3 && step == 3 && x.channel_stride == 1;
+    bool const aligned =
+        ((interleaved ? uintptr_t(row_stride) | reinterpret_cast<uintptr_t>(planes[0]) : bits) & 7) == 0;
+    bool const by_groups = step == 1 || interleaved, rows_exist = top >= 0 && top + rows <= y_axis.size;
+    // The columns of whole groups that are inside of the image.
+    int const begin = by_groups ? max(-left, 0) : columns;
+    int const end =
+        by_groups ? max(min((columns + kGroup - 1) & -kGroup, (x_axis.size - left) & -kGroup), begin) : columns;
+    int const column = int(threadIdx.x) % kThreadsOfRow * kGroup;
+    if (column >= begin && column < end) {
+#pragma unroll 1
+      for (int row = int(threadIdx.x) / kThreadsOfRow; row < rows; row += kLoads * kRowsAtOnce) {
+        uint32_t loaded[kLoads][2 * N];
+#pragma unroll
+        for (int i = 0; i < kLoads; ++i) {
+          int const own = row + i * kRowsAtOnce;
+          int y = top + own;
+          if (!rows_exist) y = pixel_at(y_axis, y);
+          bool const exists = own < rows && unsigned(y) < unsigned(y_axis.size);
+          int const at = y * row_stride + (left + column) * step;
+#pragma unroll
+          for (int k = 0; k < N; ++k) {
+            loaded[i][2 * k] = loaded[i][2 * k + 1] = 0;
+            if (exists)
+              load(interleaved ? planes[0] + (at + 8 * k) : planes[k] + at, aligned, loaded[i][2 * k],
+                   loaded[i][2 * k + 1]);
+          }
+        }
+#pragma unroll
+        for (int i = 0; i < kLoads; ++i) {
+          int const own = row + i * kRowsAtOnce;
+          uint32_t pixels[8];
+          spread<N>(loaded[i], interleaved, pixels);
+          if (own >= rows) break;
+          auto* const to = reinterpret_cast<uint4*>(words + (own * kPitch + column));
+          to[0] = {pixels[0], pixels[1], pixels[2], pixels[3]};
+          if (column + 4 < kPitch) to[1] = {pixels[4], pixels[5], pixels[6], pixels[7]};
+        }
+      }
+    }
+    // The others pixel by pixel.
+    int const others = columns - (min(end, columns) - min(begin, columns));
+#pragma unroll 1
+    for (int i = threadIdx.x; i < others * rows; i += kThreads) {
+      int const own = i / others, rest = i - own * others, own_column = rest < begin ? rest : rest - begin + end;
+      int const y = pixel_at(y_axis, top + own), from = pixel_at(x_axis, left + own_column);
+      uint32_t pixel = 0;
+      if (unsigned(y) < unsigned(y_axis.size) && unsigned(from) < unsigned(x_axis.size)) {
+        int const at = y * row_stride + from * step;
+#pragma unroll
+        for (int k = 0; k < N; ++k) pixel |= uint32_t(planes[k][at]) << 8 * k;
+      }
+      words[own * kPitch + own_column] = pixel;
+    }
+    __syncthreads();
+  }
+};
+
+// --- parts of tiles --------------------------------------------------------------------------------------------------
+
+// A thread has four pixels of the output: adjacent ones of a row if Wide, otherwise of a column. Coordinates count from
+// the anchor, so that they are the same in parts of any size.
+constexpr int kAnchor = 64;
+
+struct BytePart {
+  int x, y, side;  // of the output
+};
+
+enum class ByteMap { affine, dyadic, homography };
+
+template <bool Wide, int N, ByteMap Map>
+__device__ __forceinline__ void sample_part(Sample<uint8_t> const& p, Tile<float> const& tile, BytePart const& part,
+                                            ByteSource const& source, int first) {
+  constexpr int kPitch = ByteSource::kPitch;
+  int const width = int(p.y.width), height = int(p.y.height), lane = threadIdx.x % 32, warp = threadIdx.x / 32;
+  int const twice = part.side == kAnchor ? 1 : 0;  // warps side by side
+  int const x = part.x + 32 * (warp & twice) + (Wide ? lane % 8 * 4 : lane);
+  int const first_row = (warp >> twice) * 4 + (Wide ? lane / 8 : 0), row_step = kTile >> twice;
+  // Those of the second row of a warp begin with the second of the four, and so on: taps are in different banks.
+  int const turn = Wide ? lane / 8 : 0;
+  float m[9], columns[4];
+#pragma unroll
+  for (int i = 0; i < 9; ++i) m[i] = tile.map.m[i];
+#pragma unroll
+  for (int i = 0; i < 4; ++i) columns[i] = float(min(x + (Wide ? (i + turn) & 3 : 0), width - 1) - tile.x);
+  if (x >= width) return;
+  uint8_t* planes[N];
+#pragma unroll
+  for (int k = 0; k < N; ++k) planes[k] = p.y.row(tile.b, first + k, 0);
+  int const row_stride = int(p.y.row_stride), step = int(p.y.step);
+  int const origin = (tile.v - source.top - int(kFirstCell)) * kPitch + (tile.u - source.left - int(kFirstCell));
+#pragma unroll 1
+  for (int row = first_row; row < part.side; row += row_step) {
+    int const y = part.y + row;
+    if (y >= height) break;
+    uint32_t means[4][N];
+#pragma unroll
+    for (int i = 0; i < 4; ++i) {
+      float const from_top = float((Wide ? y : min(y + i, height - 1)) - tile.y), from_left = columns[i];
+      float u = fmaf(from_left, m[0], fmaf(from_top, m[1], m[2])),
+            v = fmaf(from_left, m[3], fmaf(from_top, m[4], m[5]));
+      if constexpr (Map == ByteMap::homography) {
+        float const scale = reciprocal(fmaf(from_left, m[6], fmaf(from_top, m[7], m[8])));
+        u *= scale;
+        v *= scale;
+      }
+      uint32_t const fixed_u = near_fixed(u), fixed_v = near_fixed(v);
+      uint32_t const* const taps =
+          source.words + (int(fixed_v >> kCoordBits) * kPitch + int(fixed_u >> kCoordBits) + origin);
+      uint32_t const a = taps[0], b = taps[1], c = taps[kPitch], d = taps[kPitch + 1];
+      if constexpr (Map == ByteMap::dyadic) {
+        float const tx = u - vfloor(u), ty = v - vfloor(v);
+#pragma unroll
+        for (int k = 0; k < N; ++k) {
+          float const four[] = {byte_of<float>(a, k), byte_of<float>(b, k), byte_of<float>(c, k), byte_of<float>(d, k)};
+          float const above = four[0] + tx * (four[1] - four[0]), below = four[2] + tx * (four[3] - four[2]);
+          means[i][k] = uint32_t(round_to_byte(above + ty * (below - above))) << 16;
+        }
+      } else {
+        ByteWeights(fixed_u, fixed_v).means<N>(a, b, c, d, means[i]);
+      }
+    }
+    if constexpr (Wide) {
+      int const to = y * row_stride + x;
+#pragma unroll
+      for (int k = 0; k < N; ++k) {
+        uint32_t const word = __byte_perm(__byte_perm(means[0][k], means[1][k], 0x0062),
+                                          __byte_perm(means[2][k], means[3][k], 0x0062), 0x5410);
+        uint32_t const four = __funnelshift_l(word, word, 8 * turn);
+        if (x + 4 <= width) {
+          *reinterpret_cast<uint32_t*>(planes[k] + to) = four;
+        } else {
+#pragma unroll
+          for (int i = 0; i < 3; ++i)
+            if (x + i < width) planes[k][to + i] = uint8_t(four >> 8 * i);
+        }
+      }
+    } else {
+#pragma unroll
+      for (int i = 0; i < 4; ++i)
+        if (y + i < height)
+#pragma unroll
+          for (int k = 0; k < N; ++k) planes[k][(y + i) * row_stride + x * step] = uint8_t(means[i][k] >> 16);
+    }
+  }
+}
+
+// What a block has: up to four parts of kTile x kTile, of one sample, in shared memory.
+struct ByteBlock {
+  static constexpr int kMost = 4;
+  Tile<float> tiles[kMost];  // from the anchor of each part on
+  TapBounds taps[kMost];     // relative to its tile's (u, v)
+  BytePart parts[kMost];
+  int count;
+
+  // By all threads. at(number, x, y) is where a part lies. If Whole, all are those of one anchor, and become one part
+  // if its source tile fits.
+  template <bool Whole, class At, class Matrix>
+  __device__ __forceinline__ void prepare(Sample<uint8_t> const& p, void* memory, int64_t b, int number_of_parts, At at,
+                                          Matrix matrix) {
+    if (threadIdx.x < 32) {
+      int const number = threadIdx.x / 4 % kMost, width = int(p.y.width), height = int(p.y.height);
+      BytePart part{0, 0, kTile};
+      at(number, part.x, part.y);
+      Tile<float> tile;
+      tile.b = b;
+      tile.image = p.image_of(b);
+      tile.x = part.x & -kAnchor;
+      tile.y = part.y & -kAnchor;
+      Homography<double> const map = homography(matrix(b), p.coords.use);
+      double u, v;
+      map.apply(double(tile.x), double(tile.y), u, v);
+      tile.u = u > -1e6 && u < 1e6 ? int(u) : 0;
+      tile.v = v > -1e6 && v < 1e6 ? int(v) : 0;
+      tile.map = bind_to_tile<float>(map, tile.x, tile.y, tile.u, tile.v);
+      TapBounds box = TapBounds::empty();
+      float const right = float(min(part.x + kTile, width) - 1 - tile.x),
+                  bottom = float(min(part.y + kTile, height) - 1 - tile.y);
+      float const x = threadIdx.x & 1 ? right : float(part.x - tile.x);
+      float const y = threadIdx.x & 2 ? bottom : float(part.y - tile.y);
+      float to_u, to_v;
+      tile.map.apply(x, y, to_u, to_v);
+      box.add<2>(to_u, to_v, kCoordRounding, float(kFarCoord));
+      box.merge_lanes<4>();
+      unsigned const before = __ballot_sync(0xffffffffu, tile.map.weight(x, y) > 0) >> 4 * number & 15;
+      if (before != 0 && before != 15) box = TapBounds::all();
+      bool const exists = number < number_of_parts && part.x < width && part.y < height;
+      int parts_left = number_of_parts;
+      if (Whole && number_of_parts == kMost) {
+        TapBounds whole = exists ? box : TapBounds::empty();
+        whole.merge_lanes<4 * kMost>();
+        if (ByteSource(memory, whole, tile, p).fits) {
+          parts_left = 1;
+          box = whole;
+          part.side = kAnchor;
+        }
+      }
+      if (!exists) part.side = 0;
+      if (threadIdx.x % 4 == 0 && threadIdx.x < 4 * kMost) {
+        tiles[number] = tile;
+        taps[number] = box;
+        parts[number] = part;
+        if (number == 0) count = parts_left;
+      }
+    }
+    __syncthreads();
+  }
+  template <bool Wide>
+  __device__ __forceinline__ void sample(Sample<uint8_t> const& p, void* memory) const {
+#pragma unroll 1
+    for (int number = 0; number < count; ++number) {
+      BytePart const& part = parts[number];
+      Tile<float> const& tile = tiles[number];
+      if (part.side == 0) continue;
+      ByteSource const source(memory, taps[number], tile, p);
+      for_each_channel_group<3>(p.x.channels, [&](int first, auto channels) {
+        constexpr int N = channels.value;
+        if (source.fits) {
+          source.stage<N>(p.x, tile.image, first, p.x_axis, p.y_axis);
+          if (!tile.map.affine)
+            sample_part<Wide, N, ByteMap::homography>(p, tile, part, source, first);
+          else if (is_dyadic(tile.map))
+            sample_part<Wide, N, ByteMap::dyadic>(p, tile, part, source, first);
+          else
+            sample_part<Wide, N, ByteMap::affine>(p, tile, part, source, first);
+          return;
+        }
+        int const x = part.x + int(threadIdx.x) % kTile;
+        if (x < int(p.y.width))
+#pragma unroll 1
+          for (int y = part.y + int(threadIdx.x) / kTile; y < min(part.y + kTile, int(p.y.height));
+               y += kThreads / kTile)
+            sample_bytes_unstaged<N>(p, tile, first, y, x);
+      });
+    }
+  }
+};
+
+// Whether the rows of results begin at whole words.
+template <class T>
+KV_HD bool rows_are_words(Images<T> const& y) {
+  return y.step == 1 &&
+         ((int64_t(reinterpret_cast<uintptr_t>(y.data)) | y.row_stride | y.channel_stride | y.batch_stride) & 3) == 0;
+}
+
+}  // namespace
+}  // namespace kv::geometry::cuda

@@ -2,7 +2,7 @@
 
 Milliseconds of a batch of 3 x 224 x 224 pixels, float32 and uint8, and in floors: the images read once and the results written
 once. The bar on an NVIDIA H200 is 2.5 floors; more has an exclamation mark, or the reason why it needs more. On a GPU launches
-are counted, too.
+are counted, too. `--csv FILE` also writes the rows there.
 """
 
 from __future__ import annotations
@@ -11,13 +11,14 @@ import argparse
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from functools import cache, partial
+from pathlib import Path
 from typing import Any
 
 import torch
 from torch import Tensor
 
 import kvision.augmentation as A
-from benchmarks import machine
+from benchmarks import machine, results
 from benchmarks.case import photographs
 from benchmarks.peers import set_threads
 from benchmarks.sample_calls.augmentations import CORRUPTION, DISTORTION, OCCLUSION
@@ -120,6 +121,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parse.add_argument("names", nargs="*", metavar="NAME", help="parts of the names to run; default: all")
     parse.add_argument("--device", choices=("cpu", "cuda"), default="cuda" if torch.cuda.is_available() else "cpu")
     parse.add_argument("--seconds", type=float, default=0.1, help="time for one figure (default 0.1)")
+    parse.add_argument("--csv", type=Path, help="file for the rows")
     parse.add_argument("--threads", type=int, default=1, help="of torch on the CPU (default 1)")
     options = parse.parse_args(arguments)
     set_threads(options.threads)
@@ -133,17 +135,26 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print(f"{about['hardware']} / {about['cpu']}  threads {about['threads']}  {about['date']}  torch {about['torch']}")
     print(f"{len(images)}x3x{SIDE}x{SIDE}, a copy of float32 {copies[0]:.3f} ms, of uint8 {copies[1]:.3f} ms")
     print(f"{'':22}{'float32 ms':>12}{'floors':>9}{'uint8 ms':>12}{'floors':>9}{'launches':>10}")
+    rows: list[dict[str, str]] = []
     for name, augment in augmentations():
         if options.names and not any(part in name for part in options.names):
             continue
-        cells, is_missed = [], False
+        row, is_missed = {"augmentation": name}, False
         for x in inputs:
             milliseconds, floors = figure(augment, x, stopwatch, bandwidth)
             is_missed = is_missed or floors > BAR
-            cells.append(f"{milliseconds:12.3f}{floors:9.1f}")
-        count = f"{launches(lambda augment=augment: augment(images)):.0f}" if on_gpu else "-"
-        reason = "  " + REASONS.get(name, "!") if is_missed else ""
-        print(f"{name:22}{''.join(cells)}{count:>10}{reason}", flush=True)
+            dtype = str(x.dtype).removeprefix("torch.")
+            row |= {f"{dtype} ms": f"{milliseconds:.3f}", f"{dtype} floors": f"{floors:.1f}"}
+        row["launches"] = f"{launches(lambda augment=augment: augment(images)):.0f}" if on_gpu else "-"
+        row["why more than 2.5"] = REASONS.get(name, "!") if is_missed else ""
+        rows.append(row)
+        first, *cells, reason = row.values()
+        line = f"{first:22}{''.join(f'{cell:>{width}}' for cell, width in zip(cells, (12, 9, 12, 9, 10)))}  {reason}"
+        print(line.rstrip(), flush=True)
+    if options.csv is not None:
+        where = f"{about['hardware']}, torch {about['torch']}: `python -m benchmarks.corruptions`"
+        size = f"{len(images)}x3x{SIDE}x{SIDE}; floors: images read once and results written once"
+        results.write(options.csv, [f"# {where}", f"# {size}"], rows)
     return 0
 
 

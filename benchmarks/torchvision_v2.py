@@ -1,7 +1,10 @@
 """`python -m benchmarks.torchvision_v2`: kvision.tv beside torchvision.transforms.v2, one image on one CPU thread.
 
-The first table has the times of both, in turns in one process: medians of the quickest calls of some rounds. `--pil` prints how
-far v2's own PIL path is from its tensor path, and kvision.tv from the same. Needs torchvision.
+The first table has the times of both, in turns in one process: medians of the quickest calls of some rounds. `--device cuda`
+prints rows of a batch of uint8 images in GPU memory instead: kvision.tv, which draws for each sample; v2 image by image, which
+is how v2 draws for each sample, and the stack of its results; and v2 on the batch, which draws once. Wall times of a call until
+the GPU has done it, medians of calls in turns. `--pil` prints how far v2's own PIL path is from its tensor path, and kvision.tv
+from the same. Needs torchvision.
 """
 
 from __future__ import annotations
@@ -15,25 +18,29 @@ from typing import Any
 import numpy as np
 import PIL.Image
 import torch
+import torchvision
 from torch import Tensor
 from torchvision.transforms import v2
 
+from benchmarks import machine
 from benchmarks.case import photographs
 from kvision import tv
 
 MEAN, STD = [0.485, 0.456, 0.406], [0.229, 0.224, 0.225]
 CORNERS = [[0, 0], [499, 0], [499, 374], [0, 374]], [[20, 12], [460, 8], [480, 350], [5, 360]]
 FLOAT = (torch.float32, True)
+BATCH = (128, 3, 256, 256)
+BAR = 10.0  # v2 image by image over kvision.tv, on a GPU
 
 
-def transforms(m: Any) -> dict[str, Any]:
-    """Transforms of a module, kvision.tv or v2."""
+def transforms(m: Any, side: int = 256) -> dict[str, Any]:
+    """Transforms of a module, kvision.tv or v2; `side` is what `Resize` makes of the shorter one."""
     classification = [m.RandomResizedCrop(224), m.RandomHorizontalFlip(), m.ToDtype(*FLOAT), m.Normalize(MEAN, STD)]
     return {
         "RandomHorizontalFlip": m.RandomHorizontalFlip(1.0),
         "RandomCrop": m.RandomCrop(224),
         "CenterCrop": m.CenterCrop(224),
-        "Resize": m.Resize(256),
+        "Resize": m.Resize(side),
         "RandomResizedCrop": m.RandomResizedCrop(224),
         "ColorJitter": m.ColorJitter(0.4, 0.4, 0.4, 0.1),
         "RandomGrayscale": m.RandomGrayscale(1.0),
@@ -43,7 +50,10 @@ def transforms(m: Any) -> dict[str, Any]:
         "RandomErasing": m.RandomErasing(1.0),
         "RandAugment": m.RandAugment(),
         "classification": m.Compose(classification),
-        "classification, evaluation": m.Compose([m.Resize(256), m.CenterCrop(224), *classification[2:]]),
+        "classification, policy, erasing": m.Compose(
+            [*classification[:2], m.RandAugment(), *classification[2:], m.RandomErasing(0.1)]
+        ),
+        "classification, evaluation": m.Compose([m.Resize(side), m.CenterCrop(224), *classification[2:]]),
         "segmentation": m.Compose(
             [m.RandomResize(190, 750), m.RandomHorizontalFlip(), m.RandomCrop(180), *classification[2:]]
         ),
@@ -97,6 +107,39 @@ def print_times(image: Tensor, rounds: int, calls: int) -> None:
         print(f"| {name} | {a:.3f} | {b:.3f} | {a / b:.1f} |", flush=True)
 
 
+def seconds_of(call: Callable[[], Any], device: torch.device) -> float:
+    """Of one call, until its results are there."""
+    start = time.perf_counter()
+    call()
+    if device.type == "cuda":
+        torch.cuda.synchronize()
+    return time.perf_counter() - start
+
+
+def print_batches(batch: Tensor, rounds: int, calls: int) -> None:
+    device = batch.device
+    print(f"# {machine.hardware(device)}, torch {torch.__version__}, torchvision {torchvision.__version__}")
+    print(f"# uint8 {'x'.join(map(str, batch.shape))}, ms, wall times; v2 on a batch draws once a call")
+    print("transform,kvision.tv,v2 image by image,v2 on the batch,image by image / kvision.tv,bar")
+    theirs, ours = transforms(v2, 232), transforms(tv, 232)
+    for name in ours:
+        v2_transform, transform = theirs[name], ours[name]
+        contestants = (
+            (calls, lambda t=transform: t(batch)),
+            (1, lambda t=v2_transform: torch.stack([t(image) for image in batch])),
+            (calls, lambda t=v2_transform: t(batch)),
+        )
+        seconds: list[list[float]] = [[] for _ in contestants]
+        for i in range(rounds + 1):  # the first one warms up
+            torch.manual_seed(i)
+            for (repeats, call), own in zip(contestants, seconds):
+                times = [seconds_of(call, device) for _ in range(repeats)]
+                own.extend(times if i else ())
+        ms = [statistics.median(own) * 1e3 for own in seconds]
+        cell = f'"{name}"' if "," in name else name
+        print(f"{cell},{ms[0]:.3f},{ms[1]:.1f},{ms[2]:.3f},{ms[1] / ms[0]:.1f},{BAR:.0f}", flush=True)
+
+
 def as_tensor(x: Any) -> Tensor:
     if isinstance(x, Tensor):
         return x
@@ -118,10 +161,14 @@ def print_distances(image: Tensor) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu", help="cuda: a batch, not an image")
     parser.add_argument("--pil", action="store_true", help="distances, not times")
     parser.add_argument("--rounds", type=int, default=9)
     parser.add_argument("--calls", type=int, default=20)
     args = parser.parse_args()
+    if args.device == "cuda":
+        (batch,) = photographs(BATCH, torch.float32, torch.device("cuda"))
+        return print_batches((255 * batch).round().to(torch.uint8), args.rounds, args.calls)
     torch.set_num_threads(1)
     image = (photographs((1, 3, 375, 500), torch.float32, torch.device("cpu"))[0][0] * 255).round().to(torch.uint8)
     print_distances(image) if args.pil else print_times(image, args.rounds, args.calls)

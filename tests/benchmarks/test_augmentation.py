@@ -44,12 +44,14 @@ def test_bars(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str
     assert augmentation_bars.checked(0.2, 0.1, 3) == "0.200! (0.1)" and augmentation_bars.checked(7, None, 0) == "7"
 
 
-def test_corruptions(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_corruptions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     """Rows by parts of names; classes and common corruptions have them, and those with a reason are among them."""
     for name, value in (("CPU_BATCH", 1), ("SIDE", 48)):
         monkeypatch.setattr(corruptions, name, value)
-    assert corruptions.main(["Grid", "contrast", "--device", "cpu", "--seconds", "0"]) == 0
+    table = tmp_path / "table.csv"
+    assert corruptions.main(["Grid", "contrast", "--device", "cpu", "--seconds", "0", "--csv", str(table)]) == 0
     rows = [line.split()[0] for line in capsys.readouterr().out.splitlines()[3:]]
+    assert rows == [row["augmentation"] for row in results.read(table)[1]]
     assert rows == ["GridDropout", "GridMask", "GridDistortion", "contrast"]
     names = {name for name, _ in corruptions.augmentations()}
     assert names >= {*corruptions.REASONS, *A.CommonCorruption.NAMES}

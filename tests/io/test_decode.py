@@ -97,6 +97,27 @@ def test_exif_orientation_of_16_bits(orientation):
     assert torch.equal(turned_image.int(), 1000 * levels.int())
 
 
+def test_alpha_is_straight_and_kept():
+    """OpenCV multiplies colors of TIFF files of bytes by alpha, drops it for gray ones, and drops a transparent gray of PNG."""
+    rgba = np.concatenate([photograph(20, 30), np.linspace(1, 255, 600).reshape(20, 30, 1).astype(np.uint8)], -1)
+    files = [file(rgba, "PNG"), file(rgba, "TIFF")]
+    expected, unmultiplied = K.io.decode(files, mode="UNCHANGED")
+    assert torch.equal(unmultiplied[3], expected[3])
+    error = (unmultiplied.int() - expected.int()).abs()
+    assert (error <= 128 / expected[3].clamp(min=1) + 1).all()
+    over_white, expected = K.io.decode(files[1]), K.io.decode(files[0])
+    assert (over_white.int() - expected.int()).abs().max() <= 1
+    with pytest.raises(ImageError, match="drops the alpha of gray TIFF"):
+        K.io.decode(file(rgba[..., 2:], "TIFF"))
+    level = np.arange(12, dtype=np.uint8).reshape(3, 4)
+    for gray, transparent in ((level, 5), (level.astype(np.uint16) * 5000, 25000), (level > 5, 0)):
+        image = K.io.decode(file(gray, "PNG", transparency=transparent), mode="UNCHANGED")
+        top = torch.iinfo(image.dtype).max
+        shown = gray != transparent
+        assert image.shape == (4, 3, 4) and np.array_equal(image[3].numpy(), shown * np.array(top, image.numpy().dtype))
+        assert np.array_equal(image[0].numpy(), gray if gray.dtype != bool else gray * 255)
+
+
 def test_values_are_those_of_load_image(tmp_path, device):
     """Of every format and mode: gray and RGB, with alpha, 16 bits, floating point."""
     rgb = photograph(20, 30)

@@ -27,17 +27,22 @@ def upright(image: Tensor, orientation: int) -> Tensor:
 
 def orientation_of(exif: bytes) -> int:
     """The orientation, 1 to 8, in an EXIF block (a TIFF header and its directories); 1 where there is none to read."""
-    exif = exif.removeprefix(b"Exif\0\0")
-    order = {b"II": "<", b"MM": ">"}.get(exif[:2])
+    value = short_of(exif.removeprefix(b"Exif\0\0"), _ORIENTATION)
+    return value if value is not None and 1 <= value <= 8 else 1
+
+
+def short_of(block: bytes | memoryview, tag: int) -> int | None:
+    """The 16-bit number of a tag in the first directory of a TIFF file, or of an EXIF block; None where there is none to read."""
+    order = {b"II": "<", b"MM": ">"}.get(bytes(block[:2]))
     if order is None:
-        return 1
+        return None
     try:
-        (start,) = struct.unpack_from(order + "I", exif, 4)
-        (entries,) = struct.unpack_from(order + "H", exif, start)
+        (start,) = struct.unpack_from(order + "I", block, 4)
+        (entries,) = struct.unpack_from(order + "H", block, start)
         for i in range(entries):
-            tag, _, _, value = struct.unpack_from(order + "HHIH", exif, start + 2 + 12 * i)
-            if tag == _ORIENTATION:
-                return int(value) if 1 <= value <= 8 else 1
+            entry, _, _, value = struct.unpack_from(order + "HHIH", block, start + 2 + 12 * i)
+            if entry == tag:
+                return int(value)
     except struct.error:  # the block ends before it should
         pass
-    return 1
+    return None

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from kvision._hints import look_at_opencv
 from kvision.core.exceptions import ImageError
+from kvision.io._alpha import with_straight_alpha
 from kvision.io._exif import orientation_of, upright
 
 
@@ -54,7 +55,8 @@ def pixels_of(data: np.ndarray[Any, Any]) -> Tensor:
     exif = bytes(np.ravel(metadata.get(cv2.IMAGE_METADATA_EXIF, np.empty(0, np.uint8))))
     planes = cv2.split(pixels)
     rgb = {3: (2, 1, 0), 4: (2, 1, 0, 3)}.get(len(planes), range(len(planes)))
-    return upright(torch.from_numpy(np.stack([planes[c] for c in rgb])), orientation_of(exif))
+    image = with_straight_alpha(torch.from_numpy(np.stack([planes[c] for c in rgb])), data.data)
+    return upright(image, orientation_of(exif))
 
 
 def _has_reader(start: bytes) -> bool:

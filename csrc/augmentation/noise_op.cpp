@@ -1,12 +1,11 @@
 // Noise: schemas and entries, for CPU and CUDA.
+#include "augmentation/lists/list_steps.h"
 #include "augmentation/noise_glue.h"
 #include "color/lists/program_list_glue.h"
 #include "geometry/transform/lists/list_glue.h"
 
 namespace kv::augmentation {
 namespace {
-
-using OptionalTensor = std::optional<Tensor>;
 
 // Of images (B, C, H, W); parameters (B, 2) of the type that is computed in; keys, seeds, chosen and plan as in
 // noise_glue.h.
@@ -116,8 +115,8 @@ Tensor salt_and_pepper_backward(Tensor const& grad, Tensor const& parameters, Te
 template <class Run>
 Tensors run_noise_list(char const* op, Tensors const& images, Tensor const& parameters, Tensor const& keys,
                        OptionalTensor const& seeds, OptionalTensor const& chosen, std::vector<int64_t> const& plan,
-                       double salt, [[maybe_unused]] bool by_pixel, Run const& run) {
-  geometry::KeptSizes const kept(op, images);
+                       double salt, [[maybe_unused]] bool by_pixel, Run const& run, bool in_block = false) {
+  geometry::KeptSizes const kept(op, images, in_block);
   Tensor const& like = kept.largest;
   NoiseArguments const arguments{op, like, parameters, keys, seeds, chosen, plan};
   arguments.check();
@@ -146,22 +145,25 @@ Tensors run_noise_list(char const* op, Tensors const& images, Tensor const& para
   return kept.results;
 }
 
+void run_gaussian_list([[maybe_unused]] Tensor const& like, auto const& p, [[maybe_unused]] int64_t elements) {
+  KV_RUN(gaussian_noise_list, like, p, p.list.items, 4 * elements);
+}
+void run_uniform_list([[maybe_unused]] Tensor const& like, auto const& p, [[maybe_unused]] int64_t elements) {
+  KV_RUN(uniform_noise_list, like, p, p.list.items, 4 * elements);
+}
+
 Tensors gaussian_noise_list(Tensors const& images, Tensor const& parameters, Tensor const& keys,
                             OptionalTensor const& seeds, OptionalTensor const& chosen,
                             std::vector<int64_t> const& plan) {
   return run_noise_list("gaussian_noise_list", images, parameters, keys, seeds, chosen, plan, 0, false,
-                        []([[maybe_unused]] Tensor const& like, auto const& p, [[maybe_unused]] int64_t elements) {
-                          KV_RUN(gaussian_noise_list, like, p, p.list.items, 4 * elements);
-                        });
+                        [](auto const&... list) { run_gaussian_list(list...); });
 }
 
 Tensors uniform_noise_list(Tensors const& images, Tensor const& parameters, Tensor const& keys,
                            OptionalTensor const& seeds, OptionalTensor const& chosen,
                            std::vector<int64_t> const& plan) {
   return run_noise_list("uniform_noise_list", images, parameters, keys, seeds, chosen, plan, 0, false,
-                        []([[maybe_unused]] Tensor const& like, auto const& p, [[maybe_unused]] int64_t elements) {
-                          KV_RUN(uniform_noise_list, like, p, p.list.items, 4 * elements);
-                        });
+                        [](auto const&... list) { run_uniform_list(list...); });
 }
 
 Tensors salt_and_pepper_list(Tensors const& images, Tensor const& parameters, Tensor const& keys,
@@ -184,6 +186,22 @@ Tensors shot_noise_list(Tensors const& images, Tensor const& parameters, Tensor 
 }
 
 }  // namespace
+
+Tensors steps::drawn_noise(Tensor const& like, int64_t channels, std::vector<int64_t> const& sides, bool normal,
+                           Tensor const& parameters, Tensor const& keys, OptionalTensor const& seeds,
+                           OptionalTensor const& chosen, std::vector<int64_t> const& plan) {
+  constexpr char const* op = "drawn_noise";
+  size_t const count = sides.size() / 2;
+  KV_CHECK(count > 0, op, ": expected height and width of each image");
+  Tensor block;
+  Tensors const zeros = geometry::list_in_block(like, channels, {op, sides, count}, count, ScalarType::Float, &block);
+  torch::stable::zero_(block);
+  auto const noise = [&](auto run) {
+    return run_noise_list(op, zeros, parameters, keys, seeds, chosen, plan, 0, false, run, true);
+  };
+  return normal ? noise([](auto const&... list) { run_gaussian_list(list...); })
+                : noise([](auto const&... list) { run_uniform_list(list...); });
+}
 
 #define KV_NOISE "Tensor parameters, Tensor keys, Tensor? seeds, Tensor? chosen, int[] plan) -> Tensor"
 KV_OPERATOR(gaussian_noise, "(Tensor images, " KV_NOISE)

@@ -1,5 +1,6 @@
 // Drops: schemas and entries, for CPU and CUDA.
 #include "augmentation/corruption/drops.h"
+#include "augmentation/lists/list_steps.h"
 #include "geometry/transform/lists/list_glue.h"
 
 namespace kv::augmentation {
@@ -85,7 +86,8 @@ struct ListedLayers {
   Tensors depths;  // or none
   Tensors results;
 
-  ListedLayers(char const* op, Tensors const& given, Tensors const& given_depths, std::optional<ScalarType> type)
+  ListedLayers(char const* op, Tensors const& given, Tensors const& given_depths, std::optional<ScalarType> type,
+               bool in_block)
       : op(op) {
     check_image_list(op, "layers", given);
     KV_CHECK(given[0].size(0) == 1, op, ": expected layers of shape (1, H, W)");
@@ -102,7 +104,9 @@ struct ListedLayers {
       KV_CHECK(has_shape_of(given_depths[b], x), op, ": expected uint8 depths of the shape and device of layers");
       depths.push_back(dense(given_depths[b]));
     }
-    results = geometry::empty_list(like, 1, {op, sides, given.size()}, given.size(), Layout::planar, type);
+    geometry::ListSizes const sizes(op, sides, given.size());
+    results = in_block ? geometry::list_in_block(like, 1, sizes, given.size(), type)
+                       : geometry::empty_list(like, 1, sizes, given.size(), Layout::planar, type);
   }
   // Fills tables of at most kMaxListed layers and calls run(table).
   template <class List, class T, class Run>
@@ -131,8 +135,8 @@ struct ListedLayers {
   }
 };
 
-Tensors drop_depths_list(Tensors const& layers, Tensor const& parameters) {
-  ListedLayers const list("drop_depths_list", layers, {}, ScalarType::Byte);
+Tensors depths_of(Tensors const& layers, Tensor const& parameters, bool in_block) {
+  ListedLayers const list("drop_depths_list", layers, {}, ScalarType::Byte, in_block);
   run_drops(list.op, list.like, int64_t(layers.size()), parameters, [&]<class T>(Drops<T> const& drops) {
     list.for_each_table<DropDepthsList<T>>(
         drops, [&](auto const& p) { KV_RUN(drop_depths_list, list.like, p, p.items, 2000 * list.like.size(3)); });
@@ -140,8 +144,8 @@ Tensors drop_depths_list(Tensors const& layers, Tensor const& parameters) {
   return list.results;
 }
 
-Tensors drop_reliefs_list(Tensors const& layers, Tensor const& parameters, Tensors const& depths) {
-  ListedLayers const list("drop_reliefs_list", layers, depths, {});
+Tensors reliefs_of(Tensors const& layers, Tensor const& parameters, Tensors const& depths, bool in_block) {
+  ListedLayers const list("drop_reliefs_list", layers, depths, {}, in_block);
   KV_CHECK(!depths.empty(), list.op, ": expected depths of all layers");
   run_drops(list.op, list.like, int64_t(layers.size()), parameters, [&]<class T>(Drops<T> const& drops) {
     list.for_each_table<DropReliefsList<T>>(
@@ -150,8 +154,8 @@ Tensors drop_reliefs_list(Tensors const& layers, Tensor const& parameters, Tenso
   return list.results;
 }
 
-Tensors mark_stains_list(Tensors const& layers, Tensor const& parameters) {
-  ListedLayers const list("mark_stains_list", layers, {}, {});
+Tensors stains_of(Tensors const& layers, Tensor const& parameters, bool in_block) {
+  ListedLayers const list("mark_stains_list", layers, {}, {}, in_block);
   run_drops(list.op, list.like, int64_t(layers.size()), parameters, [&]<class T>(Drops<T> const& drops) {
     list.for_each_table<MarkStainsList<T>>(
         drops, [&](auto const& p) { KV_RUN(mark_stains_list, list.like, p, p.items, 32 * list.like.size(3)); });
@@ -159,7 +163,27 @@ Tensors mark_stains_list(Tensors const& layers, Tensor const& parameters) {
   return list.results;
 }
 
+Tensors drop_depths_list(Tensors const& layers, Tensor const& parameters) {
+  return depths_of(layers, parameters, false);
+}
+Tensors drop_reliefs_list(Tensors const& layers, Tensor const& parameters, Tensors const& depths) {
+  return reliefs_of(layers, parameters, depths, false);
+}
+Tensors mark_stains_list(Tensors const& layers, Tensor const& parameters) {
+  return stains_of(layers, parameters, false);
+}
+
 }  // namespace
+
+Tensors steps::drop_depths(Tensors const& layers, Tensor const& parameters) {
+  return depths_of(layers, parameters, true);
+}
+Tensors steps::drop_reliefs(Tensors const& layers, Tensor const& parameters, Tensors const& depths) {
+  return reliefs_of(layers, parameters, depths, true);
+}
+Tensors steps::mark_stains(Tensors const& layers, Tensor const& parameters) {
+  return stains_of(layers, parameters, true);
+}
 
 KV_OPERATOR(drop_depths, "(Tensor layers, Tensor parameters) -> Tensor")
 KV_OPERATOR(drop_reliefs, "(Tensor layers, Tensor parameters, Tensor depths) -> Tensor")

@@ -1,12 +1,13 @@
 // The largest value of each image of a list: schema and entry, for CPU and CUDA.
 #include "augmentation/lists/brightest.h"
+#include "augmentation/lists/list_steps.h"
 #include "geometry/transform/lists/list_glue.h"
 
 namespace kv::augmentation {
 namespace {
 
 // Images (C, H, W) of different sizes. One tensor (B,) of the type that is computed in.
-Tensors brightest_list(Tensors const& images) {
+Tensor brightest_of(Tensors const& images) {
   constexpr char const* op = "brightest_list";
   check_image_list(op, "images", images);
   Tensor const like = as_batch(images[0]);
@@ -27,10 +28,13 @@ Tensors brightest_list(Tensors const& images) {
       KV_RUN(brightest_list, like, p, p.list.items, like.numel());
     });
   });
-  return {y};
+  return y;
 }
+Tensors brightest_list(Tensors const& images) { return {brightest_of(images)}; }
 
 }  // namespace
+
+Tensor steps::brightest(Tensors const& images) { return brightest_of(images); }
 
 KV_OPERATOR(brightest_list, "(Tensor[] images) -> Tensor[]")
 

@@ -1,5 +1,6 @@
 // Filters of lists of images of different sizes, whose results have the sizes of the images: schemas and entries, for
 // CPU and CUDA.
+#include "augmentation/lists/list_steps.h"
 #include "augmentation/lists/listed_images.h"
 #include "augmentation/noise_glue.h"
 #include "enhance/plane_views.h"
@@ -57,8 +58,9 @@ namespace {
 
 // Windows and sigma as those of gaussian_blur2d.
 Tensors gaussian_list(char const* op, Tensors const& images, OptionalTensor const& chosen, OptionalTensor const& sigma,
-                      int64_t ky, int64_t kx, double sigma_y, double sigma_x, int64_t border_number, bool transposed) {
-  ListedImages const list(op, images, chosen);
+                      int64_t ky, int64_t kx, double sigma_y, double sigma_x, int64_t border_number, bool transposed,
+                      bool in_block = false) {
+  ListedImages const list(op, images, chosen, false, in_block);
   Tensor const& like = list.like();
   filters::check_sigma(op, sigma, like);
   Border const border = to_border(op, border_number);
@@ -213,6 +215,13 @@ Tensors sharpness_list_backward(Tensors const& images_and_grads, OptionalTensor 
 }
 
 }  // namespace
+
+Tensors steps::gaussian_blur(Tensors const& images, OptionalTensor const& sigma, int64_t ky, int64_t kx, double sigma_y,
+                             double sigma_x, Border border) {
+  OptionalTensor const all;
+  return gaussian_list("gaussian_blur2d_list", images, all, sigma, ky, kx, sigma_y, sigma_x, int64_t(border), false,
+                       true);
+}
 
 // `chosen` (B,) float32: images whose value is 0 stay as they are. What follows are the arguments of the operators on
 // batches.

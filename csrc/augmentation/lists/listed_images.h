@@ -1,6 +1,7 @@
 // Operators on lists of images of different sizes that change the images which are chosen, for their entries.
 #pragma once
 
+#include "augmentation/lists/list_steps.h"
 #include "augmentation/noise_glue.h"
 #include "color/lists/program_list_glue.h"
 #include "core/stencils/filter_list.h"
@@ -8,8 +9,6 @@
 #include "geometry/transform/lists/list_glue.h"
 
 namespace kv::augmentation {
-
-using OptionalTensor = std::optional<Tensor>;
 
 // Images (C, H, W), and which of them are changed, (B,) float32; the others are copied.
 struct ListedImages {

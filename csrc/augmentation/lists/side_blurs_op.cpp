@@ -18,7 +18,7 @@ namespace kv::augmentation {
 namespace {
 
 // Sigmas are `sigma` heights and widths of each image, windows three of them to each side. The results are one block.
-Tensors gaussian_blur2d_of_sides_list(Tensors const& images, double sigma, int64_t border_number) {
+Tensor blur_of_sides(Tensors const& images, double sigma, int64_t border_number) {
   constexpr char const* op = "gaussian_blur2d_of_sides_list";
   OptionalTensor const all_images;
   ListedImages const list(op, images, all_images, false, true);
@@ -39,10 +39,17 @@ Tensors gaussian_blur2d_of_sides_list(Tensors const& images, double sigma, int64
       filters::run_with_sides(like, p, cost);
     });
   });
-  return {*list.kept.block};
+  return list.kept.block;
+}
+Tensors gaussian_blur2d_of_sides_list(Tensors const& images, double sigma, int64_t border) {
+  return {blur_of_sides(images, sigma, border)};
 }
 
 }  // namespace
+
+Tensor steps::gaussian_blur_of_sides(Tensors const& images, double sigma, Border border) {
+  return blur_of_sides(images, sigma, int64_t(border));
+}
 
 KV_OPERATOR(gaussian_blur2d_of_sides_list, "(Tensor[] images, float sigma, int border) -> Tensor[]")
 

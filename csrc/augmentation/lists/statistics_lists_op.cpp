@@ -1,5 +1,6 @@
 // Operators on lists of images of different sizes by statistics of channels or by blocks: schemas and entries, for CPU
 // and CUDA.
+#include "augmentation/lists/list_steps.h"
 #include "augmentation/lists/listed_images.h"
 #include "enhance/channels/channel_contrast.h"
 #include "enhance/clahe.h"
@@ -46,8 +47,8 @@ void check_pixels(ListedImages const& list) {
   KV_CHECK(like.size(2) <= INT32_MAX / like.size(3), list.kept.op, ": expected fewer than 2^31 pixels a plane");
 }
 
-Tensors equalize_list(Tensors const& images, OptionalTensor const& chosen, bool opencv) {
-  ListedImages const list("equalize_list", images, chosen, true);
+Tensors equalized(Tensors const& images, OptionalTensor const& chosen, bool opencv, bool in_block) {
+  ListedImages const list("equalize_list", images, chosen, true, in_block);
   Tensor const& like = list.like();
   check_pixels(list);
   Tensor const counts = empty({like.size(0) * like.size(1), enhance::kLevels}, like, Layout::planar, ScalarType::Int);
@@ -61,6 +62,10 @@ Tensors equalize_list(Tensors const& images, OptionalTensor const& chosen, bool 
                                                    [&](auto const& p, int64_t cost) { enhance::run(like, p, cost); });
   });
   return list.kept.results;
+}
+
+Tensors equalize_list(Tensors const& images, OptionalTensor const& chosen, bool opencv) {
+  return equalized(images, chosen, opencv, false);
 }
 
 Tensors normalize_min_max_list(Tensors const& images, OptionalTensor const& chosen, double low, double high, double eps,
@@ -150,6 +155,11 @@ Tensors jpeg_list(Tensors const& images, OptionalTensor const& chosen, OptionalT
 }
 
 }  // namespace
+
+Tensors steps::equalize(Tensors const& images, bool opencv) {
+  OptionalTensor const all;
+  return equalized(images, all, opencv, true);
+}
 
 // `chosen` (B,) float32: images whose value is 0 stay as they are. What follows are the arguments of the operators on
 // batches.

@@ -30,7 +30,7 @@ from kvision.geometry.transform.lists.warp_list import warp_list
 from kvision.geometry.transform.resize_windows import resized_windows
 
 _STEPS, _GUESSES = 20, 32  # of Newton's method, which begins at the best of 32 x 32 pixels
-_IDENTITY = (((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),)
+IDENTITY = (((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),)
 _BETWEEN = INTERPOLATION["bilinear"], PADDING["border"], True  # how displacements are read
 
 # --- reading images -------------------------------------------------------------------------------------------------
@@ -55,7 +55,7 @@ def read_displaced_list(
 
 def as_batch(layers: Sequence[Tensor]) -> Tensor:
     """Layers (C, H, W) of different sizes as one tensor (B, C, H, W) of the largest sides, 0 beyond each."""
-    identity = constant(_IDENTITY, layers[0], compute_dtype(layers[0]))
+    identity = constant(IDENTITY, layers[0], compute_dtype(layers[0]))
     options = (INTERPOLATION["nearest"], PADDING["fill"], True, False, False)
     return warp_list(list(layers), identity, None, list(largest_shape(layers)[2:]), *options)[0]
 

@@ -15,6 +15,7 @@ from kvision._clamp import clamp
 from kvision._constants import constant
 from kvision._dtype import compute_dtype
 from kvision._modes import BLOCK_VALUE, BORDER
+from kvision._ops import FastPath
 from kvision.augmentation import maps
 from kvision.augmentation.corruption.blurs import mean_of_enlargements
 from kvision.augmentation.corruption.disk import disk_kernels
@@ -40,7 +41,7 @@ from kvision.augmentation.noise import (
     shot_noise,
 )
 from kvision.augmentation.random_generator.base import RandomGeneratorBase
-from kvision.augmentation.random_generator.mapped import Map, MappedGenerator, NoiseMap
+from kvision.augmentation.random_generator.mapped import Map, MappedGenerator, NoiseMap, NoiseOfList
 from kvision.augmentation.random_generator.plasma import PlasmaGenerator
 from kvision.augmentation.warp_and_color import ColorPart, ColorStep, Pass, Resampling, make_pass
 from kvision.core.exceptions import ValueCheckError
@@ -266,11 +267,26 @@ class Displaced(NamedTuple):
 def _elastic_transform(like: Tensor, drawn: Params, images: Images, alpha: float) -> Displaced:
     noise = drawn["noise"]
     if images is not None:
-        (blurred,) = filter_lists.gaussian_blur2d_of_sides(noise, _SIGMA, BORDER["reflect"])
-        return Displaced(blurred.detach())
+        return Displaced(_blurred_maps_of_list(noise))
     sigma = like.shape[-2] * _SIGMA, like.shape[-1] * _SIGMA
     sides = 2 * int(3 * sigma[0] + 0.5) + 1, 2 * int(3 * sigma[1] + 0.5) + 1
     return Displaced(gaussian_blur2d(noise, sides, sigma))
+
+
+# Maps that are drawn and blurred at once.
+_blurred_maps = FastPath("blurred_maps", (torch.float32,))
+
+
+def _blurred_maps_of_list(noise: NoiseOfList) -> Tensor:
+    blur = _SIGMA, BORDER["reflect"]
+    if _blurred_maps.serves(noise.images[0].new_empty(1, dtype=torch.float32)):
+        sides, (keys, seeds, chosen, plan) = sizes(noise.images), noise.source.arguments()
+        scales = torch.tensor([(0.0, noise.map.most * height) for height in sides[::2]], device="cpu")
+        parameters = rows_on_device(scales, noise.images[0], torch.float32)
+        fused: Tensor = _blurred_maps.kernel(parameters, keys, seeds, chosen, list(plan), sides, *blur)
+        return fused
+    (blurred,) = filter_lists.gaussian_blur2d_of_sides(noise.each(), *blur)
+    return blurred.detach()
 
 
 def _pixelate(like: Tensor, drawn: Params, images: Images, scale: float) -> Operation:
@@ -566,9 +582,9 @@ class CommonCorruption(IntensityAugmentationBase2D, keeps_contract=True):
             if isinstance(generator, MappedGenerator):  # maps of each image, 0 of those that are not chosen
                 chosen = None if execution.is_certain else execution.columns.chosen
                 noise = noise._replace(chosen=None if chosen is None else chosen.float())
-                map: Any = generator.maps["noise"]
-                drawn = map.draw_list(noise, [tuple(x.shape) for x in images], 0)
-                params = {**self._named(values, execution), "noise": drawn}
+                drawn = NoiseOfList(generator.maps["noise"], noise, images)
+                is_read_later = self.name in ("spatter", "elastic_transform")
+                params = {**self._named(values, execution), "noise": drawn if is_read_later else drawn.each()}
             else:  # one as large as the largest image
                 params = generator.pixel_params(values, (*like.shape[:2], *sizes(images)), noise)
         return self._operation(like, params, images)

@@ -12,6 +12,7 @@ from kvision import _check
 from kvision._clamp import clamp
 from kvision._constants import constant
 from kvision._dtype import compute_dtype
+from kvision._ops import FastPath
 from kvision.augmentation import ranges
 from kvision.augmentation.corruption.drops import drop_depths, drop_reliefs, mark_stains
 from kvision.augmentation.corruption.glass import reach_of
@@ -21,8 +22,8 @@ from kvision.augmentation.engine import Execution, Params
 from kvision.augmentation.lists import filter_lists, statistics_lists
 from kvision.augmentation.lists.brightest import brightest
 from kvision.augmentation.lists.sides import rows_on_device, sides_of_list
-from kvision.augmentation.maps import as_batch
-from kvision.augmentation.random_generator.mapped import MappedGenerator, NoiseMap
+from kvision.augmentation.maps import IDENTITY, as_batch
+from kvision.augmentation.random_generator.mapped import MappedGenerator, NoiseMap, NoiseOfList
 from kvision.augmentation.random_generator.plasma import PlasmaGenerator
 from kvision.augmentation.ranges import Numbers
 from kvision.core.exceptions import ShapeError, TypeCheckError
@@ -273,25 +274,25 @@ class Spatter(LayerAugmentation, keeps_contract=True):
         )
         if isinstance(noise, Tensor):
             noise = noise.to(like.device, own)
-        smoothed = on_layers(_smoothing(like, sigma[:, None].expand(-1, 2), self._reaches[0]), noise)
+        smoothing = _smoothing(like, sigma[:, None].expand(-1, 2), self._reaches[0])
         parameters = torch.stack([mean, std, threshold], 1).detach()
         if self.mode == "rain":
-            return rainy(like, smoothed, parameters, intensity, self.color)
-        softened = _smoothing(like, intensity[:, None].expand(-1, 2), self._reaches[1])
-        return muddy(like, smoothed, parameters, softened, self.color)
+            return rainy(like, noise, smoothing, parameters, intensity, self.color)
+        softening = _smoothing(like, intensity[:, None].expand(-1, 2), self._reaches[1])
+        return muddy(like, noise, smoothing, parameters, softening, self.color)
 
     def _operation_on_list(self, images: Sequence[Tensor], like: Tensor, execution: Execution) -> Operation:
         assert execution.columns is not None
-        values, noise = execution.columns.values, self._pixel_noise(execution, execution.redraw, like.device)
-        map: Any = self._param_generator.maps["noise"]
-        drawn = {"noise": map.draw_list(noise, [tuple(x.shape) for x in images], 0)}
-        return self._operation(like, {**self._named(values, execution), **drawn})
+        values, source = execution.columns.values, self._pixel_noise(execution, execution.redraw, like.device)
+        noise = NoiseOfList(self._param_generator.maps["noise"], source, images)
+        return self._operation(like, {**self._named(values, execution), "noise": noise})
 
     def _operates_on(self, dtype: torch.dtype) -> bool:
         return dtype != torch.float64 and super()._operates_on(dtype)
 
 
 Layers: TypeAlias = Tensor | Sequence[Tensor]  # (B, 1, H, W), or (1, H, W) of each image of a list
+Noise: TypeAlias = Tensor | NoiseOfList  # of as many layers
 
 
 def on_layers(operation: Operation, layers: Layers) -> Layers:
@@ -305,13 +306,9 @@ def _smoothing(like: Tensor, deviations: Any, reach: int) -> Operation:
     return Operation(filter_lists.gaussian_blur2d, arguments[1:])
 
 
-def _as_batch(layers: Layers) -> Tensor:
-    return layers if isinstance(layers, Tensor) else as_batch(layers)
-
-
 def spattered(
     like: Tensor,
-    noise: Layers,
+    noise: Noise,
     mean: float,
     deviation: float,
     smooth: float,
@@ -321,11 +318,43 @@ def spattered(
 ) -> Operation:
     """What puts images like a batch behind rain or mud of standard normal noise."""
     own = compute_dtype(like)
-    smoothed = on_layers(_smoothing(like, (smooth, smooth), reach_of(smooth)), noise)
+    smoothing = _smoothing(like, (smooth, smooth), reach_of(smooth))
     parameters = constant(((mean, deviation, threshold),), like, own)
     if mode == "rain":
-        return rainy(like, smoothed, parameters, constant((intensity,), like, own))
-    return muddy(like, smoothed, parameters, _smoothing(like, (intensity, intensity), reach_of(intensity)))
+        return rainy(like, noise, smoothing, parameters, constant((intensity,), like, own))
+    softening = _smoothing(like, (intensity, intensity), reach_of(intensity))
+    return muddy(like, noise, smoothing, parameters, softening)
+
+
+# All steps on a list of layers at once.
+_spatter_layers = FastPath("spatter_layers", (torch.float32,))
+
+
+def _layers(
+    noise: Noise, smoothing: Operation, parameters: Tensor, softening: Operation | None
+) -> tuple[Tensor, Tensor | None]:
+    """The layers (B, 1, H, W) of stains, or without `softening` of drops, whose largest values (B,) follow them."""
+    if isinstance(noise, NoiseOfList) and _spatter_layers.serves(parameters):
+        then = smoothing if softening is None else softening
+        if not any(isinstance(x, Tensor) and x.requires_grad for x in (smoothing.arguments[0], then.arguments[0])):
+            standard, identity = constant(((0.0, 1.0),), parameters), constant(IDENTITY, parameters)
+            (keys, seeds, chosen, plan), sides = noise.source.arguments(), sizes(noise.images)
+            *blur, _ = smoothing.arguments
+            *soft, _ = then.arguments
+            drawn = (identity, standard, keys, seeds, chosen, list(plan), sides)
+            layers, most = _spatter_layers.kernel(*drawn, *blur, parameters, softening is None, *soft)
+            return layers, None if softening is not None else most
+    smoothed = on_layers(smoothing, noise.each() if isinstance(noise, NoiseOfList) else noise)
+    if softening is not None:
+        return _as_batch(on_layers(softening, on_layers(Operation(mark_stains, (parameters,)), smoothed))), None
+    depths = on_layers(Operation(drop_depths, (parameters,)), smoothed)
+    equalized = on_layers(Operation(statistics_lists.equalize, (True,)), depths)
+    reliefs = on_layers(Operation(drop_reliefs, (parameters, equalized)), smoothed)
+    return _as_batch(reliefs), reliefs.amax((1, 2, 3)) if isinstance(reliefs, Tensor) else brightest(reliefs)
+
+
+def _as_batch(layers: Layers) -> Tensor:
+    return layers if isinstance(layers, Tensor) else as_batch(layers)
 
 
 def _colored(color: tuple[float, ...], x: Tensor, like: Tensor) -> Tensor:
@@ -335,19 +364,25 @@ def _colored(color: tuple[float, ...], x: Tensor, like: Tensor) -> Tensor:
 
 
 def muddy(
-    like: Tensor, smoothed: Layers, parameters: Tensor, softening: Operation, color: tuple[float, ...] = _COLORS["mud"]
+    like: Tensor,
+    noise: Noise,
+    smoothing: Operation,
+    parameters: Tensor,
+    softening: Operation,
+    color: tuple[float, ...] = _COLORS["mud"],
 ) -> Operation:
     """What puts images behind stains, whose edges are softened, where smoothed noise is above a threshold.
 
     Parameters (B or 1, 3) are mean and deviation of the noise, and the threshold.
     """
-    stains = _as_batch(on_layers(softening, on_layers(Operation(mark_stains, (parameters,)), smoothed)))
+    stains, _ = _layers(noise, smoothing, parameters, softening)
     return layered(torch.where(stains < 0.8, 0, stains), 1.0, -1.0, _colored(color, like, stains), 0.0)
 
 
 def rainy(
     like: Tensor,
-    smoothed: Layers,
+    noise: Noise,
+    smoothing: Operation,
     parameters: Tensor,
     intensity: Tensor,
     color: tuple[float, ...] = _COLORS["rain"],
@@ -356,9 +391,7 @@ def rainy(
 
     A drop is a relief of its levels, lit from a corner: that of the distance from the outlines of drops.
     """
-    depths = on_layers(Operation(drop_depths, (parameters,)), smoothed)
-    equalized = on_layers(Operation(statistics_lists.equalize, (True,)), depths)
-    reliefs = on_layers(Operation(drop_reliefs, (parameters, equalized)), smoothed)
-    most = reliefs.amax((1, 2, 3)) if isinstance(reliefs, Tensor) else brightest(reliefs)
+    reliefs, most = _layers(noise, smoothing, parameters, None)
+    assert most is not None
     strength = (intensity / most.clamp(min=1))[:, None]
-    return layered(_as_batch(reliefs), 1.0, 0.0, strength * _colored(color, like, strength), 0.0)
+    return layered(reliefs, 1.0, 0.0, strength * _colored(color, like, strength), 0.0)

@@ -190,7 +190,7 @@ def _run_children(
     everything, steps = range(len(images)), list[_Step]()
     y: Any = images
     for run, is_joined in runs_of(children, context.plans):
-        images = list(y)
+        images = y if isinstance(y, list) else list(y)
         done = run_or_replay(images, run, context._replace(position=position)) if is_joined else None
         module: Any = run[0].module
         if done is not None:

@@ -34,7 +34,7 @@ from kvision.augmentation.keys import Keys
 from kvision.augmentation.noise import PixelNoise
 from kvision.augmentation.sample_rows import numbers_by, read_rows
 from kvision.augmentation.warp_and_color_list import warp_and_color_list, warp_and_color_to_list
-from kvision.geometry.transform.lists.arguments import like_batch, row
+from kvision.geometry.transform.lists.arguments import have_one_size, like_batch, row, some_of
 from kvision.geometry.transform.lists.arguments import sizes as sides_of
 
 _ANY = 2  # images of a batch in plans, which do not depend on it
@@ -331,7 +331,7 @@ def _run_decided(
     images: list[Tensor], modules: Sequence[Any], names: Sequence[str], context: CallContext
 ) -> tuple[list[Any], list[_Samples]] | None:
     """The results of a run whose augmentations are applied to some images, and its calls: one for each choice of them."""
-    if is_compiling() or len({x.shape for x in images}) == 1:  # a batch, which is decided for as one
+    if is_compiling() or have_one_size(images):  # a batch, which is decided for as one
         return None
     refuse_list(context.op, modules)
     seeds = seeds_of_list(context.op, modules, len(images), context.seed, context.generator_of(modules[0]))
@@ -346,7 +346,7 @@ def _run_decided(
     results: list[Any] = list(images)
     calls = []
     for samples, own, plan in planned:
-        y, ((_, call),) = _run_planned([images[i] for i in samples], modules, names, own, plan)
+        y, ((_, call),) = _run_planned(some_of(images, samples), modules, names, own, plan)
         calls.append((samples, call))
         for i, result in zip(samples, y):
             results[i] = result

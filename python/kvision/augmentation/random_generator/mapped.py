@@ -47,6 +47,19 @@ class NoiseMap(NamedTuple):
         return noise.normal_list(sizes, number) if self.normal else noise.uniform_list(sizes, number)
 
 
+class NoiseOfList(NamedTuple):
+    """A map of the images of a list, which is drawn where it is read."""
+
+    map: Any
+    source: PixelNoise
+    images: Sequence[Tensor]
+
+    def each(self) -> list[Tensor]:
+        """The map of each image."""
+        drawn: list[Tensor] = self.map.draw_list(self.source, [tuple(x.shape) for x in self.images], 0)
+        return drawn
+
+
 class MappedGenerator(PlainUniformGenerator):
     """Draws uniform parameters, then integers, and maps of noise.
 

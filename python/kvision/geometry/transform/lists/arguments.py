@@ -31,6 +31,12 @@ class ImageList(list[Tensor]):
     def _sides(self) -> tuple[Sequence[int], Sequence[int]]:
         return _checked_sides(self._op, self._name, self)
 
+    def some(self, samples: Sequence[int]) -> ImageList:
+        """The images of these numbers, which are checked with all of them."""
+        some, (heights, widths) = ImageList(self._op, self._name, [self[i] for i in samples]), self._sides
+        some._sides = [heights[i] for i in samples], [widths[i] for i in samples]
+        return some
+
     def check(self) -> ImageList:
         """The list; raises unless it has images of one type, device and number of channels."""
         _ = self._sides
@@ -45,6 +51,20 @@ class ImageList(list[Tensor]):
     @cached_property
     def largest_shape(self) -> tuple[int, ...]:
         return (len(self), self[0].shape[0], *map(max, self._sides))
+
+
+def have_one_size(images: Sequence[Tensor]) -> bool:
+    """Whether all images of a list have one size."""
+    if isinstance(images, ImageList):
+        return all(len({*own}) == 1 for own in images._sides)
+    return len({x.shape for x in images}) == 1
+
+
+def some_of(images: list[Tensor], samples: Sequence[int]) -> list[Tensor]:
+    """The images of these numbers, which ascend."""
+    if len(samples) == len(images):
+        return images
+    return images.some(samples) if isinstance(images, ImageList) else [images[i] for i in samples]
 
 
 def unchecked_list(op: str, name: str, images: Any) -> list[Tensor]:

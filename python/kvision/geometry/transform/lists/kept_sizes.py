@@ -39,7 +39,7 @@ class Operation(NamedTuple):
 
         Images that are not `chosen`, (B,) float32, stay as they are, but for operators that draw; None for all.
         """
-        if 0 in self.operator.non_differentiable:
+        if 0 in self.operator.non_differentiable and any(x.requires_grad for x in images):
             images = [x.detach() for x in images]
         operator = _OF_LISTS[self.operator]
         first, arguments = (chosen,) if operator in _FILTERS else (), self.arguments

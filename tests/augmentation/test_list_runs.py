@@ -13,7 +13,7 @@ from benchmarks.timing import launches
 from kvision import augmentation as A
 from kvision._backend import current_backend
 from kvision.augmentation.drawn_pass import DrawnListPass
-from kvision.augmentation.engine import list_runs
+from kvision.augmentation.engine import list_runs, passes
 from op_tests import assert_close
 
 FISHEYE = [torch.tensor(r, device="cpu") for r in ((-0.3, 0.3), (-0.3, 0.3), (0.9, 1.1))]
@@ -283,9 +283,9 @@ def test_the_operator_promises_what_it_gives(device, backend, monkeypatch):
         images = [x.permute(1, 2, 0).contiguous().permute(2, 0, 1) for x in pictures(device, SMALL, dtype)]
         for name in ("colors", "affine", "everything"):
             augment, calls = A.ImageSequential(*PASSES[name]()), []
-            operator = list_runs.warp_and_color_to_list
+            operator = passes.warp_and_color_to_list
             monkeypatch.setattr(DrawnListPass, "serves", lambda *args: False)
-            monkeypatch.setattr(list_runs, "warp_and_color_to_list", lambda *a: (calls.append(a), operator(*a))[1])  # noqa: B023
+            monkeypatch.setattr(passes, "warp_and_color_to_list", lambda *a: (calls.append(a), operator(*a))[1])  # noqa: B023
             augment(images, seed=0)
             monkeypatch.undo()
             (args,) = calls

@@ -23,8 +23,9 @@ Neighbors in a container:
     runs, passes   plan what neighbors draw and execute together, and execute it
     choices        which children run, for the batch or for each sample
     turns          execution where each sample has children of its own; choice_base the containers that draw them
-    lists          a list of images that an augmentation makes a batch by one launch
+    list_plans     what a run on a list draws and executes, whatever its sizes; sized what depends on these
     list_runs      a run on a list by the launches of a batch; list_calls a call on one image by image
+    lists          what labels follow where an augmentation makes a list a batch
     call_context   what the children of a container have in common in one call
     stages, record what a call did to positions of pixels; all that it did
     label_moves    boxes and points behind the stages of a call; label_record those of one call

@@ -18,8 +18,7 @@ from kvision.augmentation.engine.call_labels import CallLabels
 from kvision.augmentation.engine.execution import Execution, ListExecution, Params, Shape, replaying
 from kvision.augmentation.engine.executor import Executor
 from kvision.augmentation.engine.list_calls import Parts, call_in_parts, shapes_of_images
-from kvision.augmentation.engine.list_replays import run_or_replay
-from kvision.augmentation.engine.lists import execute_list, list_plan
+from kvision.augmentation.engine.list_runs import run_or_replay
 from kvision.augmentation.engine.record import Child
 from kvision.augmentation.engine.stages import LabelSettings
 from kvision.augmentation.inputs import (
@@ -142,21 +141,19 @@ class AugmentationBase(Executor, keeps_contract=True):
         if labels is not None:
             keys, inputs = [*keys, _KEYS[self.reads_labels or ""]], [images, labels]
             context = context._replace(labels=CallLabels(keys, inputs, LabelSettings(), largest_shape(images), True))
-        is_planned, parts = flags is self.flags, None
         with nullcontext() if params is None else replaying(op, params):
-            if is_planned and list_plan(self) is not None:
-                y, *_ = execute_list(images, child, context)
-            elif is_planned and (done := run_or_replay(images, [child], context)) is not None:
-                y, run = done
-                if run is None:
-                    parts = Parts.of_params(op, params, [x.shape for x in images], images, self._execution_of_part)
-                else:
-                    parts = run.of_child(0)
+            done = run_or_replay(images, [child], context) if flags is self.flags else None
+            if done is not None and params is None:  # and has been kept
+                y, _ = done
             else:
-                call = functools.partial(self._call_part, flags)
-                (y, *_), parts = call_in_parts([self], keys, inputs, params, seed, generator, call)
-        self._execution = child.record if parts is None else ListExecution(parts)
-        return y if plain is given else wrap(y, given), self._execution
+                if done is not None:
+                    y, shapes = done[0], [x.shape for x in images]
+                    parts = Parts.of_params(op, params, shapes, images, self._execution_of_part)
+                else:
+                    call = functools.partial(self._call_part, flags)
+                    (y, *_), parts = call_in_parts([self], keys, inputs, params, seed, generator, call)
+                child.record = self._execution = ListExecution(parts)
+        return y if plain is given else wrap(y, given), child.record
 
     def _call_part(
         self, flags: dict[str, Any], inputs: Sequence[Any], params: Any, seed: Seed, generator: Generator | None

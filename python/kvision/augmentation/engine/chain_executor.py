@@ -15,6 +15,7 @@ from kvision.augmentation.engine.call_labels import CallLabels
 from kvision.augmentation.engine.choices import Choices
 from kvision.augmentation.engine.configuration import kept
 from kvision.augmentation.engine.execution import check_batch_of_params, matrix_type
+from kvision.augmentation.engine.list_runs import execute_list
 from kvision.augmentation.engine.record import Child, ParamItem, Record, child_of
 from kvision.augmentation.engine.result_types import common_dtype, in_wider_type, result_dtype
 from kvision.augmentation.engine.runs import execute, images_of
@@ -174,7 +175,7 @@ class ChainExecutor(ImageSequentialBase):
             y, stages, children = execute_turns(x, turns, own)
         else:
             children = self._children_of_call(params, context)
-            y, stages = execute(x, children, context)
+            y, stages = (execute_list if isinstance(x, list) else execute)(x, children, context)
         if dtype is not None and self.output_dtype is None:
             y = in_wider_type(y, dtype)
         size, is_of_list = tuple(y.shape[2:]), isinstance(x, list)

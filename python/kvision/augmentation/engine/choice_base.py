@@ -13,8 +13,8 @@ from kvision.augmentation.columns import DrawPlan, plan_draws
 from kvision.augmentation.draws import Draw, Request, uniform
 from kvision.augmentation.engine.call_context import CallContext
 from kvision.augmentation.engine.image_sequential import ImageSequential
-from kvision.augmentation.engine.list_calls import SIZES, Sizes, sizes_after
 from kvision.augmentation.engine.record import ParamItem
+from kvision.augmentation.engine.sized import SIZES, Sizes, sizes_after
 from kvision.augmentation.engine.turns import Turn
 from kvision.augmentation.keys import check_seeds, draw_keys, refuse_capture, refuse_graphs, refuse_mapped
 from kvision.core.exceptions import TypeCheckError, ValueCheckError

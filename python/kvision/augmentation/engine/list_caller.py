@@ -12,20 +12,11 @@ from torch import Generator, Tensor
 from kvision.augmentation.engine.call_labels import CallLabels
 from kvision.augmentation.engine.chain_executor import ChainExecutor, checked_items
 from kvision.augmentation.engine.configuration import kept
-from kvision.augmentation.engine.list_calls import (
-    SIZES,
-    Parts,
-    Sizes,
-    call_in_parts,
-    gives_one_size,
-    shapes_of_images,
-    sizes_after,
-)
+from kvision.augmentation.engine.list_calls import Parts, call_in_parts, shapes_of_images
 from kvision.augmentation.engine.list_chains import replay_chain, run_chain
-from kvision.augmentation.engine.list_replays import replay_list, replayed_record
-from kvision.augmentation.engine.list_runs import run_list
-from kvision.augmentation.engine.lists import list_plan
+from kvision.augmentation.engine.list_runs import replay_list, replayed_record, run_list
 from kvision.augmentation.engine.record import ParamItem, Record
+from kvision.augmentation.engine.sized import SIZES, Sizes, gives_one_size, makes_batch, sizes_after
 from kvision.augmentation.inputs import is_image_list
 from kvision.augmentation.keys import Seed
 from kvision.constants import DataKey
@@ -45,9 +36,7 @@ class ListCaller(ChainExecutor):
     @kept
     def _reads_lists(self) -> bool:
         """Whether the first child makes a list a batch by one launch, so that the list is not taken image by image."""
-        return (
-            self._runs_all() and self.resample == "each" and list_plan(next(iter(self._modules.values()))) is not None
-        )
+        return self._runs_all() and self.resample == "each" and makes_batch(next(iter(self._modules.values())))
 
     @property
     def _runs_lists(self) -> bool:

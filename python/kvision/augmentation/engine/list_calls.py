@@ -19,6 +19,7 @@ from torch.compiler import is_compiling
 
 from kvision.augmentation.engine.execution import Execution
 from kvision.augmentation.engine.record import SomeParamItem
+from kvision.augmentation.engine.sized import SIZES, gives_one_size
 from kvision.augmentation.keys import Seed, check_seeds, draw_keys, seeds_of_samples
 from kvision.augmentation.sample_rows import numbers_by, read_rows
 from kvision.constants import DataKey
@@ -26,8 +27,6 @@ from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 from kvision.geometry.transform.lists.arguments import check_list
 
 _SHAPE = "forward_input_shape"
-Sizes = tuple[tuple[int, ...], tuple[int, ...]]
-SIZES: Sizes = ((40037, 53003), (91009, 23003))  # of images that show what depends on their size; larger than any crop
 Module = TypeVar("Module")
 
 
@@ -452,25 +451,3 @@ def _replaced(item: Any, data: Any, samples: Tensor | None = None) -> Any:
     if hasattr(item, "param"):  # of cells
         return item._replace(param=_replaced(item.param, data, samples))
     return item._replace(data=data) if samples is None else SomeParamItem(item.name, data, samples)
-
-
-# --- sizes of results -----------------------------------------------------------------------------------------------
-
-
-def sizes_after(module: Any, sizes: Sizes) -> Sizes | None:
-    """What a module makes of two sizes; None where it depends on more than these."""
-    if hasattr(module, "_sizes_after"):
-        own: Sizes | None = module._sizes_after(sizes)
-        return own
-    if not hasattr(module, "output_shape") or not module.has_known_size or module._is_customized():
-        return None
-    after = tuple(tuple(module.output_shape((1, 3, *size), module.flags)[2:]) for size in sizes)
-    if after != sizes and module.whole_batch and module.p_batch < 1:
-        return None
-    return after[0], after[1]
-
-
-def gives_one_size(module: Any) -> bool:
-    """Whether images of any sizes have one in the end, in every call."""
-    sizes: Sizes | None = module._plans.made("sizes", lambda: sizes_after(module, SIZES))
-    return sizes is not None and sizes[0] == sizes[1]

@@ -25,7 +25,7 @@ from kvision.augmentation.engine.list_calls import (
     refuse_list,
     seeds_of_list,
 )
-from kvision.augmentation.engine.list_replays import run_or_replay
+from kvision.augmentation.engine.list_runs import run_or_replay
 from kvision.augmentation.engine.record import Child, ParamItem, Record, SomeParamItem
 from kvision.augmentation.engine.runs import execute, inside_child, runs_of
 from kvision.augmentation.engine.stages import Chain, Nested, Stage

@@ -1,183 +1,102 @@
 """Runs of augmentations on a list of images, by the launches of a batch, whatever the number of images.
 
-The draws are those of a batch, in one launch. What a draw or a matrix takes from the size of its image is in columns of their own,
-which the same launch writes: linear functions of height and width, or numbers that are read for each size. Each pass gives a list,
-until a crop or resize gives all images one size; the rest is a run on a batch. Images for which other augmentations are applied,
-as the host decides where sizes change, are runs of their own. What belongs to the images later, labels, parameters and the
-inverse, asks for the calls of parts, which the columns of the list give.
+The draws are those of a batch, in one launch (list_plans.py). Steps give a list, until a crop or resize gives all images one size;
+the rest is a run on a batch. Images for which other augmentations are applied, as the host decides where sizes change, are runs of
+their own. What belongs to the images later, labels, parameters and the inverse, asks for the calls of parts, which the columns of
+the list give. Where the first augmentation makes the list a batch, labels and the inverse follow that as one stage.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property, partial
-from typing import Any, NamedTuple
+from itertools import repeat
+from typing import Any
 
 import torch
 from torch import Tensor
 from torch.compiler import is_compiling
 
 from kvision._constants import on_device
-from kvision.augmentation.columns import DrawPlan
-from kvision.augmentation.drawn_pass import DrawnListPass, SizedDraws
-from kvision.augmentation.draws import HEADER, MAX_DRAWS, MAX_NUMBERS, Draw, Request, are_chosen_batches, make_plan
+from kvision._dtype import compute_dtype
+from kvision.augmentation.draws import are_chosen_batches
 from kvision.augmentation.engine.call_context import CallContext
 from kvision.augmentation.engine.execution import Execution, ListExecution, Shape, matrix_type
-from kvision.augmentation.engine.list_calls import SIZES, Parts, refuse_list, seeds_of_list
+from kvision.augmentation.engine.list_calls import Parts, params_of_rows, refuse_list, seeds_of_list
+from kvision.augmentation.engine.list_plans import ListPlan, ReplayPlan, kept_plan, kept_replay, takes_given
 from kvision.augmentation.engine.passes import Alone, Joined, Running, Step, plan_steps
 from kvision.augmentation.engine.record import Child, Record
-from kvision.augmentation.engine.runs import RunPlan, decides, may_apply, plan_run, runs_of, with_derived
-from kvision.augmentation.engine.sized import NumbersOfEach, Sized, SizedNumbers, find_sized, listed
-from kvision.augmentation.engine.stages import Chain, Stage
+from kvision.augmentation.engine.runs import (
+    decides,
+    execute,
+    keep_executions,
+    may_apply,
+    replayed,
+    run_steps,
+    runs_of,
+    with_derived,
+)
+from kvision.augmentation.engine.sized import SIZES, ImagesOfList, find_sized
+from kvision.augmentation.engine.stages import Chain, Stage, Warp
 from kvision.augmentation.keys import Keys
 from kvision.augmentation.noise import PixelNoise
 from kvision.augmentation.sample_rows import numbers_by, read_rows
-from kvision.augmentation.warp_and_color_list import warp_and_color_list, warp_and_color_to_list
+from kvision.augmentation.transforms import Transform
+from kvision.augmentation.warp_and_color import SAME
 from kvision.geometry.transform.lists.arguments import have_one_size, like_batch, row, some_of
 from kvision.geometry.transform.lists.arguments import sizes as sides_of
 
-_ANY = 2  # images of a batch in plans, which do not depend on it
 
+class ListRun(ImagesOfList):
+    """A run on a list: it draws, and has what it drew for the calls of its parts."""
 
-class _ListPlan(NamedTuple):
-    """A run on lists, whatever their lengths and sizes."""
+    found: Tensor | None = None  # (B, 1, H, W) of the largest sides, what masks gave
 
-    run: RunPlan
-    steps: int  # which read lists
-    sized: Sized
-    draws: DrawPlan | None  # of all columns; None if there are none
-    listed: Sequence[int]  # the draws with numbers of each image, by their positions among all
-    numbers: SizedNumbers | NumbersOfEach | None
-    drawn: DrawnListPass | None  # the draws with the first step
-    drawn_alone: SizedDraws | None  # the draws
+    def __init__(self, images: list[Tensor], children: Sequence[Child], context: CallContext, plan: ListPlan) -> None:
+        self.context, self.plan = context, plan
+        self.modules: list[Any] = [child.module for child in children]
+        self.names = [child.name for child in children]  # and not the children, whose records have this
+        x = images[0]
+        self.shape, self._type = (len(images), x.shape[0]), (x.dtype, x.device)  # (B, C)
 
+    def run(self, images: list[Tensor]) -> tuple[Any, list[Stage], list[Execution]]:
+        """The results, a list or a batch; of a list that the first augmentation makes a batch the stages and what each did."""
+        plan, run, modules, like = self.plan, self.plan.run, self.modules, like_batch(images)
+        count = self.shape[0]
+        keys = self.keys = plan.keys(like, count, self.context)
+        result, columns, sides = plan.draw(images, like, keys, self.context.owners)
+        super().__init__(plan.sized, sides)
+        executions = plan.executions(like, count, columns, keys) if plan.reads_executions else []
+        if run.derives and columns is not None:
+            width, sized = run.draws[0].plan[0], columns.shape[1]  # the numbers of sizes follow what is derived
+            sizes_before = partial(self._sizes_before, images)
+            columns = with_derived(modules, executions, columns, run, self.context, sizes_before)
+            columns = torch.cat([columns[:, :width], columns[:, sized:], columns[:, width:sized]], 1)
+            executions = plan.executions(like, count, columns, keys)
+        self.columns = columns
+        if modules[0].needs_masks:
+            self.found = modules[0]._find_in_list(images, executions[0], self.context)
+        if plan.begins_with_batch:
+            executions[0] = ListExecution(self.parts(0), executions[0].columns)
+        running = Running(modules, executions, columns, self.context.has_labels, result, of_list=self)
+        y, stages = run_steps(images, run.steps, running)
+        return y if run.steps else list(images), stages, executions
 
-# --- the plan -------------------------------------------------------------------------------------------------------
+    def parts(self, child: int | None = None) -> ListParts:
+        """The parts of a call with all images in this run, or those of one child."""
+        return ListParts(self.context.op, [(range(self.shape[0]), self)], child)
 
+    def _sizes_before(self, images: Sequence[Tensor], number: int) -> Tensor:
+        """Height and width (B, 2) of images before an augmentation."""
+        sizes = torch.tensor(self.sized.sizes_after(range(number), images), dtype=torch.float32, device="cpu")
+        return on_device(sizes.view(-1, 2), images[0].device)
 
-def _make_plan(
-    images: Sequence[Tensor], modules: Sequence[Any], applied: Sequence[bool], context: CallContext
-) -> _ListPlan | None:
-    """The plan of a run; None where it is not made of passes: others draw for the pixels of a batch, or are found in it."""
-    batch, channels = _ANY, images[0].shape[0]
-    sized = find_sized(modules, applied, channels, context)
-    if sized is None or not sized.has_same_draws:
-        return None
-    has_one_size = sized.own < len(modules)
-    like = images[0].detach().new_empty(1).expand(batch, channels, *SIZES[0])
-    run, _ = plan_run(like, modules, context, context.position, sized.bound)
-    if len(run.draws) > 1 or any(draws.learned is not None for draws in run.draws):
-        return None
-    if not all(takes_list(step, modules, like.dtype) for step in run.steps):
-        return None
-    steps = count_list_steps(run.steps, sized.own if has_one_size else None)
-    if context.output.memory_format is not None and not has_one_size:
-        return None
-    by_matrix = [
-        isinstance(s, Joined) or (isinstance(s, Alone) and modules[s.number].warps_lists_by_matrix) for s in run.steps
-    ]
-    has_inputs = any(by_matrix[:steps])  # others read sizes themselves
-    numbers = sized.numbers(has_inputs=has_inputs)
-    draws, places = run.draws[0] if run.draws else None, list(sized.draws)
-    if sized.count and has_inputs:
-        places += [_count_draws(draws) + i for i in range(sized.count)]
-        draws = _with_numbers(draws, sized.count)
-    if draws is not None and not draws.plan[0]:  # nothing but a chance, which the host knows
-        draws = None
-    if draws is not None and (_count_draws(draws) > MAX_DRAWS or len(draws.numbers) > MAX_NUMBERS):
-        return None
-    drawn = sized_draws = None
-    if draws is not None and not isinstance(numbers, NumbersOfEach):
-        sized_draws = SizedDraws(draws, places, _linear(numbers))
-    first = run.steps[0] if run.steps else None
-    has_list_first = context.owners is None and not run.derives and (steps > 1 or not has_one_size)
-    if isinstance(first, Joined) and has_list_first:
-        changes = sized.changes(first.geometric)
-        if draws is not None or changes:
-            of_pass = sized.numbers(draws is not None, then=first.geometric) if changes else numbers
-            of_each = of_pass if isinstance(of_pass, NumbersOfEach) else _linear(of_pass)
-            own = draws or _NO_DRAWS
-            drawn = DrawnListPass(own, places, of_each, changes, first.image_pass, like.shape, like.dtype)
-    return _ListPlan(run, steps, sized, draws, places, numbers, drawn, sized_draws)
-
-
-def count_list_steps(steps: Sequence[Step], crop: int | None) -> int:
-    """How many steps read lists: all, or those up to the one with the augmentation that gives one size."""
-    if crop is None:
-        return len(steps)
-    numbers = [[step.number] if isinstance(step, Alone) else step.geometric for step in steps]
-    return 1 + next(i for i, of_step in enumerate(numbers) if crop in of_step)
-
-
-def takes_list(step: Step, modules: Sequence[Any], dtype: torch.dtype) -> bool:
-    """Whether a step, of those of a run on images of a type, is one operator on the images of a list."""
-    if not isinstance(step, Alone):
-        return isinstance(step, Joined)
-    for module in modules[: step.number]:
-        dtype = module._result_dtype(dtype)
-    takes: bool = modules[step.number]._operates_on(dtype)
-    return takes
-
-
-def _count_draws(draws: DrawPlan | None) -> int:
-    """How many draws a plan has: what is left of it without the number of columns and the headers of requests."""
-    return 0 if draws is None else sum(draws.plan[at + HEADER - 1] for at in _headers(draws.plan))
-
-
-def _headers(plan: Sequence[int]) -> Iterator[int]:
-    at = 1
-    while at < len(plan):
-        yield at
-        at += HEADER + plan[at + HEADER - 1]
-
-
-def _with_numbers(draws: DrawPlan | None, count: int) -> DrawPlan:
-    """The same draws, and behind them columns of numbers."""
-    more = make_plan([Request([Draw("number", (0.0,))] * count)])  # of the first key, which takes no part
-    if draws is None:
-        return DrawPlan(0, 1, more.plan, more.numbers, [], None)
-    plan = [draws.plan[0] + count, *draws.plan[1:], *more.plan[1:]]
-    return draws._replace(plan=plan, numbers=[*draws.numbers, *more.numbers])
-
-
-def _linear(numbers: SizedNumbers | None) -> Tensor:
-    return torch.empty(3, 0, dtype=torch.float64, device="cpu") if numbers is None else numbers.linear()
-
-
-_NO_DRAWS = DrawPlan(0, 1, [0], [], [], None)
-
-
-def _draw(plan: _ListPlan, draws: DrawPlan, like: Tensor, keys: Keys, images: Sequence[Tensor]) -> Tensor:
-    if plan.numbers is None:
-        return draws.draw(like, keys)
-    return draws.draw_list(like, keys, plan.listed, listed(plan.numbers, sides_of(images)))
-
-
-# --- the call -------------------------------------------------------------------------------------------------------
-
-
-@dataclass
-class _Call:
-    """A run on a list: what it drew, for the calls of its parts."""
-
-    op: str
-    modules: Sequence[Any]
-    names: Sequence[str]
-    context: CallContext
-    plan: _ListPlan
-    columns: Tensor | None
-    keys: Keys | None
-    like: Tensor  # of the type and device of the images
-    shape: tuple[int, int]  # (B, C)
-    _sides: Any  # height and width of each image, or a tensor of them
-    found: Tensor | None  # (B, 1, H, W) of the largest sides, what masks gave
-
-    @property
-    def sides(self) -> Sequence[int]:
-        if isinstance(self._sides, Tensor):
-            self._sides = self._sides.flatten().tolist()
-        return self._sides
+    @cached_property
+    def like(self) -> Tensor:
+        """What has the type and the device of the images."""
+        dtype, device = self._type
+        return torch.empty(0, dtype=dtype, device=device)
 
     @cached_property
     def _has_noise(self) -> bool:
@@ -211,7 +130,7 @@ class _Call:
                 redraw = (self._keys_of(first), execution.redraw[1])
             execution.redraw = redraw
             shape = module.output_shape(shape, module.flags) if call.applies else shape
-        children = [Child(*child, None, record) for child, record in zip(zip(self.names, self.modules), executions)]
+        children = [Child(*child) for child in zip(self.names, self.modules, repeat(None), executions)]
         return record_of_run(of_shape, children, columns, self.like, self.context)
 
     def _noise(self, module: Any, number: int, image: int) -> PixelNoise:
@@ -246,7 +165,7 @@ def record_of_run(
     return record
 
 
-_Samples = tuple[Sequence[int], _Call]  # the numbers of images, and the run of these
+_Samples = tuple[Sequence[int], ListRun]  # the numbers of images, and the run of these
 
 
 class ListParts(Parts):
@@ -287,6 +206,47 @@ class ListParts(Parts):
         return ListParts(self.op, self._runs, number)
 
 
+# --- calls ----------------------------------------------------------------------------------------------------------
+
+
+def execute_list(images: list[Tensor], children: Sequence[Child], context: CallContext) -> tuple[Tensor, list[Stage]]:
+    """Run children on a list of images that the first one makes a batch; gives that and what labels have to follow."""
+    count, position, first = len(children), context.position, images[0]
+    run = runs_of(children, context.plans)[0][0]
+    if run[0].params is not None:
+        own = context if count == 1 else context._replace(output=SAME)
+        (x, stages), ran, drawing = _replay_batch(images, run[0], own), 1, 0
+    else:
+        modules = [id(child.module) for child in children]
+        key = ("list", first.shape[0], first.dtype, position, context.seed is None, context.output, *modules)
+        ran, plan = context.plans.made(key, lambda: _plan_of_first(images, run, context, count))
+        own = context if ran == count else context._replace(output=SAME)
+        x, stages, executions = ListRun(images, run[:ran], own, plan).run(images)
+        keep_executions(run, executions)
+        drawing = len(plan.run.drawing)
+    for end, at in ((len(run), position + drawing), (count, position + len(run))):
+        if ran < end:
+            own = context if end == count else context._replace(output=SAME)
+            x, more = execute(x, children[ran:end], own.after(stages), at)
+            stages, ran = [*stages, *more], end
+    return x, stages
+
+
+def _plan_of_first(
+    images: list[Tensor], run: Sequence[Child], context: CallContext, count: int
+) -> tuple[int, ListPlan]:
+    """How many of `count` children run on a list that the first one makes a batch, and their plan."""
+    modules: list[Any] = [child.module for child in run]
+    # What decides in each call whether it is applied, or reads labels, is executed after the first one.
+    is_planned = not any(decides(m) or m._derives for m in modules)
+    for ran in (len(run), 1) if is_planned else (1,):
+        own = context if ran == count else context._replace(output=SAME)
+        plan = kept_plan(images, modules[:ran], [may_apply(m, False) for m in modules[:ran]], own)
+        if plan is not None:
+            return ran, plan
+    raise AssertionError("expected an augmentation that makes a list a batch")
+
+
 def run_list(images: list[Tensor], children: Sequence[Child], context: CallContext) -> tuple[Any, ListParts] | None:
     """The results of a run, a list or a batch, and its parts; None where the run is not made of passes over lists."""
     if context.seed_of_samples is not context.seed:
@@ -301,56 +261,49 @@ def run_list(images: list[Tensor], children: Sequence[Child], context: CallConte
             return None
         if context.plans is not first._plans and context.seed is not None:  # that of a child which runs by itself
             context = context._replace(seed=context.seed + ((context.position + 1) << 32), position=0)
-    names = [child.name for child in children]
-    done: tuple[Any, Sequence[_Samples]] | None
+    warps: Sequence[Stage] = ()
     if context.is_certain or not any(decides(m) or not m.has_known_size for m in modules):
-        plan = _kept_plan(images, modules, [may_apply(m, context.is_certain) for m in modules], context)
-        done = None if plan is None else _run_planned(images, modules, names, context, plan)
+        plan = kept_plan(images, modules, [may_apply(m, context.is_certain) for m in modules], context)
+        if plan is None:
+            return None
+        run = ListRun(images, children, context, plan)
+        y, warps, _ = run.run(images)
+        parts = run.parts()
     else:
-        done = _run_decided(images, modules, names, context)
-    if done is None:
-        return None
-    y, calls = done
-    parts = ListParts(context.op, calls)
-    for i, module in enumerate(modules):
-        module.__dict__["_execution"] = ListExecution(parts.of_child(i))
+        decided = _run_decided(images, children, context)
+        if decided is None:
+            return None
+        y, parts = decided
+    executions = [ListExecution(parts.of_child(i)) for i in range(len(modules))]
+    if len(modules) == 1 and warps and isinstance(warps[0], Warp):
+        executions[0].matrix = warps[0].matrix
+    keep_executions(children, executions)
     return y, parts
 
 
-def _run_planned(
-    images: list[Tensor], modules: Sequence[Any], names: Sequence[str], context: CallContext, plan: _ListPlan
-) -> tuple[Any, list[_Samples]]:
-    """The results of a run, and its call."""
-    like, shape = like_batch(images), (len(images), images[0].shape[0])
-    y, columns, keys, sides, found = _execute(images, modules, context, plan, like)
-    call = _Call(context.op, modules, names, context, plan, columns, keys, like.new_empty(0), shape, sides, found)
-    return y, [(range(len(images)), call)]
-
-
 def _run_decided(
-    images: list[Tensor], modules: Sequence[Any], names: Sequence[str], context: CallContext
-) -> tuple[list[Any], list[_Samples]] | None:
-    """The results of a run whose augmentations are applied to some images, and its calls: one for each choice of them."""
+    images: list[Tensor], children: Sequence[Child], context: CallContext
+) -> tuple[list[Any], ListParts] | None:
+    """The results of a run whose augmentations are applied to some images, and its parts: a run for each choice of them."""
     if is_compiling() or have_one_size(images):  # a batch, which is decided for as one
         return None
+    modules: list[Any] = [child.module for child in children]
     refuse_list(context.op, modules)
     seeds = seeds_of_list(context.op, modules, len(images), context.seed, context.generator_of(modules[0]))
-    planned = []
+    runs: list[_Samples] = []
     for samples, applied in _decided(modules, seeds, context):
         labels = None if context.labels is None else context.labels.some(samples)
         own = context._replace(seed=read_rows(seeds, samples), generator=None, labels=labels)
-        plan = _kept_plan(images, modules, applied, own)
+        some, plan = some_of(images, samples), kept_plan(images, modules, applied, own)
         if plan is None:
             return None
-        planned.append((samples, own, plan))
+        runs.append((samples, ListRun(some, children, own, plan)))
     results: list[Any] = list(images)
-    calls = []
-    for samples, own, plan in planned:
-        y, ((_, call),) = _run_planned(some_of(images, samples), modules, names, own, plan)
-        calls.append((samples, call))
+    for samples, run in runs:
+        y, _, _ = run.run(some_of(images, samples))
         for i, result in zip(samples, y):
             results[i] = result
-    return results, calls
+    return results, ListParts(context.op, runs)
 
 
 def _decided(modules: Sequence[Any], seeds: Tensor, context: CallContext) -> list[tuple[Sequence[int], Sequence[bool]]]:
@@ -362,104 +315,118 @@ def _decided(modules: Sequence[Any], seeds: Tensor, context: CallContext) -> lis
         else:
             columns.append(are_chosen_batches(seeds, context.position + number, module.p_batch))
         number += may_apply(module, False) and module._request((1, 3, *SIZES[0])) is not None
-    return grouped(columns)
+    return _grouped(columns)
 
 
-def grouped(columns: Sequence[Sequence[bool]]) -> list[tuple[Sequence[int], Sequence[bool]]]:
+def _grouped(columns: Sequence[Sequence[bool]]) -> list[tuple[Sequence[int], Sequence[bool]]]:
     """The numbers of images for which the same augmentations are applied, and which these are, of a column for each."""
     return [(samples, applied) for applied, samples in numbers_by(zip(*columns)).items()]
 
 
-def _kept_plan(
-    images: Sequence[Tensor], modules: Sequence[Any], applied: Sequence[bool], context: CallContext
-) -> _ListPlan | None:
-    first = images[0]
-    own = (
-        first.shape[0],
-        first.dtype,
-        context.position,
-        context.seed is None,
-        context.once,
-        context.output,
-        context.is_certain,
-        context.owners is None,
-    )
-    key = ("list run", *own, *applied, *map(id, modules))
-    plan: _ListPlan | None = context.plans.made(key, lambda: _make_plan(images, modules, applied, context))
-    return plan
+# --- with given parameters ------------------------------------------------------------------------------------------
 
 
-def _execute(
-    images: list[Tensor], modules: Sequence[Any], context: CallContext, plan: _ListPlan, like: Tensor
-) -> tuple[Any, Tensor | None, Keys | None, Any, Tensor | None]:
-    """The results, the drawn columns, their keys, the heights and widths, and what masks gave."""
-    run, columns, drawn, keys, found = plan.run, None, None, None, None
-    if plan.draws is not None:
-        keys = context.keys(run.drawing, like) if run.drawing else Keys(torch.zeros(1, dtype=torch.int64, device="cpu"))
-        context.check_seeds(keys, len(images))
-    if plan.drawn is not None and plan.drawn.serves(images):
-        drawn = plan.drawn.run(images, keys)
-    x: Any = images
-    sides: Any
-    if drawn is not None:
-        x, columns, sides = drawn
-        columns = None if plan.draws is None else columns
-    else:
-        alone = plan.drawn_alone
-        of_sizes = None if alone is None or keys is None or is_compiling() else alone.run(images, keys)
-        if of_sizes is not None:
-            columns, sides = of_sizes
-        else:
-            sides = sides_of(images)  # which checks them
-            if plan.draws is not None and keys is not None:
-                columns = _draw(plan, plan.draws, like, keys, images)
-        if columns is not None:
-            columns = plan.run.of_owners(columns, context.owners)
-    needs_executions = run.derives or len(run.steps) > plan.steps or any(isinstance(s, Alone) for s in run.steps)
-    executions = _executions(len(images), run, like, columns, keys) if needs_executions else []
-    if run.derives and columns is not None:
-        width, sized = run.draws[0].plan[0], columns.shape[1]  # the numbers of sizes follow what is derived
-        columns = with_derived(modules, executions, columns, run, context, partial(_sizes_before, plan.sized, images))
-        columns = torch.cat([columns[:, :width], columns[:, sized:], columns[:, width:sized]], 1)
-        executions = _executions(len(images), run, like, columns, keys)
-    if modules[0].needs_masks:
-        found = modules[0]._find_in_list(images, executions[0], context)
-    running = Running(modules, executions, columns, context.has_labels)
-    done = 0 if drawn is None else 1
-    x = run_list_steps(x, run.steps[done:], running, plan.steps - done, plan.sized)
-    return x, columns, keys, sides, found
+def run_or_replay(
+    images: list[Tensor], children: Sequence[Child], context: CallContext
+) -> tuple[Any, ListParts | None] | None:
+    """The results of a run and its parts, None of a replay; None where others run or replay it."""
+    if children[0].params is None:
+        return run_list(images, children, context)
+    y = replay_list(images, children, context)
+    return None if y is None else (y, None)
 
 
-def _executions(count: int, run: RunPlan, like: Tensor, columns: Tensor | None, keys: Keys | None) -> list[Execution]:
-    """What a run executes for so many images."""
-    executions = run.executions(like, columns, keys)
-    for execution in executions:
-        execution.shape = (count, *execution.shape[1:])
-    return executions
+def replayed_record(
+    children: Sequence[Child], context: CallContext, like: Tensor, shape: Shape, params: Sequence[Any]
+) -> Record:
+    """The record of a run on images of a shape with the parameters of its children, without running it."""
+    own = [replace(child, params=item.data) for child, item in zip(children, params)]
+    executions, columns = replayed(like.expand(shape), own)
+    of_run = [replace(child, record=execution) for child, execution in zip(own, executions)]
+    return record_of_run(shape, of_run, columns, like, context)
 
 
-def _sizes_before(sized: Sized, images: Sequence[Tensor], number: int) -> Tensor:
-    """Height and width (B, 2) of images before an augmentation of a run."""
-    sizes = torch.tensor(sized.sizes_after(range(number), images), dtype=torch.float32, device="cpu")
-    return on_device(sizes.view(-1, 2), images[0].device)
+def replay_list(images: list[Tensor], children: Sequence[Child], context: CallContext) -> Any:
+    """The results of a run with the parameters of its children, a list or a batch; None where others replay it."""
+    runs = runs_of(children, context.plans)
+    if is_compiling() or len(runs) != 1 or not runs[0][1] or any(child.samples is not None for child in children):
+        return None
+    if any(isinstance(x, Tensor) and x.is_cuda for child in children for x in child.params.values()):
+        return None
+    groups = _groups(children, len(images))
+    if len(groups) > 1:
+        return _replay_groups(images, children, context, groups)
+    ((_, applied),) = groups
+    plan = kept_replay(images, children, applied, context)
+    replay = None if plan is None else _replayed(images, children, context, plan)
+    if plan is None or replay is None:
+        return None
+    steps, running = replay
+    if plan.has_sized_identity and any(execution.chosen is not None for execution in running.executions):
+        return None
+    if not all(takes_given(step, running.modules, images[0].dtype) for step in steps):
+        return None
+    return run_steps(images, steps, running)[0] if steps else list(images)
 
 
-def run_list_steps(x: Any, steps: Sequence[Step], running: Running, of_list: int, sized: Sized) -> Any:
-    """What steps make of a list, which `of_list` of them read; the last of these may give a batch."""
-    if not steps:
-        return list(x)
-    has_one_size = sized.own < len(running.modules)
-    for i, step in enumerate(steps):
-        if i >= of_list:
-            x, _ = step.run(x, running)
-        elif isinstance(step, Alone):
-            x = step.run_list(x, running)
-        else:
-            assert isinstance(step, Joined)
-            columns, fill, size, *rest = step.image_pass.arguments(like_batch(x), running.columns)
-            if has_one_size and i == of_list - 1:
-                x, *_ = warp_and_color_list(x, columns, fill, size, *rest)
-            else:
-                sizes = sized.sizes_after(step.geometric, x) if sized.changes(step.geometric) else []
-                x = list(warp_and_color_to_list(x, columns, fill, len(size) > 0, sizes, *rest)[: len(x)])
-    return x
+def _replayed(
+    images: list[Tensor], children: Sequence[Child], context: CallContext, plan: ReplayPlan
+) -> tuple[list[Step], Running]:
+    """What executes children with their parameters."""
+    modules: list[Any] = [child.module for child in children]
+    like = like_batch(images)
+    chains: Mapping[int, Sequence[Transform]] = {}
+    executions, columns = replayed(like.new_empty(1).expand(len(images), images[0].shape[0], *SIZES[0]), children)
+    if plan.numbers is not None:
+        own = on_device(plan.numbers.of_each(images).to(compute_dtype(like)), like.device)
+        width = 0 if columns is None else columns.shape[1]
+        columns = own if columns is None else torch.cat([columns.to(own), own], 1)
+        spans = [None if execution.columns is None else execution.columns.span for execution in executions]
+        chains = plan.sized.bound(modules, spans, width)
+    steps = plan_steps(modules, executions, context.once, images[0].dtype, context.output, chains)
+    return steps, Running(modules, executions, columns, False, of_list=ImagesOfList(plan.sized, sides_of(images)))
+
+
+def _replay_batch(images: list[Tensor], child: Child, context: CallContext) -> tuple[Tensor, list[Stage]]:
+    """The batch that an augmentation makes of a list with its parameters, and what labels have to follow."""
+    module: Any = child.module
+    given = {name: value for name, value in child.params.items() if name != "batch_prob"}  # 1 of all that makes batches
+    channels = images[0].shape[0]
+
+    def plan() -> ReplayPlan:
+        sized = find_sized([module], [True], channels, context)
+        assert sized is not None  # of what makes a list a batch
+        return ReplayPlan(sized, sized.numbers(has_draws=False))
+
+    planned = module._plans.made(("replay of a list", channels), plan)
+    steps, running = _replayed(images, [replace(child, params=given)], context, planned)
+    parts = Parts.of_params(context.op, child.params, [x.shape for x in images], images, module._execution_of_part)
+    running.executions = [ListExecution(parts, running.executions[0].columns, is_certain=True)]
+    keep_executions([child], running.executions)
+    return run_steps(images, steps, running)
+
+
+def _groups(children: Sequence[Child], count: int) -> list[tuple[Sequence[int], Sequence[bool]]]:
+    """The images for which the same augmentations are applied, of those that are applied to a batch or not."""
+    columns: list[list[bool]] = []
+    for child in children:
+        module: Any = child.module
+        chosen: Any = child.params.get("batch_prob") if module.whole_batch else None
+        is_of_each = isinstance(chosen, Tensor) and len(chosen) == count
+        columns.append((chosen > 0.5).tolist() if is_of_each else [True] * count)
+    return _grouped(columns)
+
+
+def _replay_groups(
+    images: list[Tensor], children: Sequence[Child], context: CallContext, groups: Sequence[Any]
+) -> list[Tensor] | None:
+    """The results of a run whose augmentations are applied to some of the images."""
+    results = list(images)
+    for samples, _ in groups:
+        own = [replace(child, params=params_of_rows(child.params, samples, len(images))) for child in children]
+        y = replay_list([images[i] for i in samples], own, context)
+        if y is None:
+            return None
+        for i, result in zip(samples, y):
+            results[i] = result
+    return results

@@ -23,10 +23,14 @@ from kvision.augmentation.drawn_pass import DrawnPass
 from kvision.augmentation.engine.contribution import Motion
 from kvision.augmentation.engine.execution import Execution, check_images
 from kvision.augmentation.engine.executor import Executor
+from kvision.augmentation.engine.lists import ListWarp
+from kvision.augmentation.engine.sized import ImagesOfList, Sized
 from kvision.augmentation.engine.stages import Applied, ByMatrix, Composed, Stage, Warp
 from kvision.augmentation.samples import where_chosen
 from kvision.augmentation.transforms import MAX_TRANSFORMS, MatrixPlan, Transform, keeps_rows, transform_matrix
 from kvision.augmentation.warp_and_color import SAME, ColorPart, Output, Pass, Resampling, fits_one_program, make_pass
+from kvision.augmentation.warp_and_color_list import warp_and_color_list, warp_and_color_to_list
+from kvision.geometry.transform.lists.arguments import like_batch
 
 # Gives the map of an augmentation of a run for kernels that draw its noise; None if it is another map.
 NoiseFields = Callable[[int], NoiseField | None]
@@ -43,9 +47,10 @@ class Running:
     columns: Tensor | None  # of all
     has_labels: bool  # which follow the images, so that maps are kept for them
     # Of the first step, where a kernel computed it with the draws:
-    result: tuple[Tensor, Tensor | None] | None = None  # images, and matrices of a pass
+    result: tuple[Any, Tensor | None] | None = None  # images, and matrices of a pass
     links: Sequence[Tensor] | None = None  # of a composition
     pieces: Tensor | None = None  # of the images, copies of which the next step reads
+    of_list: ImagesOfList | None = None  # of images that are a list, until a step makes them a batch
 
     def parts(self, numbers: Sequence[int]) -> Sequence[Stage]:
         """Augmentations that are one step by themselves, where one of them removes boxes."""
@@ -57,6 +62,22 @@ class Running:
         """An augmentation by itself, by its number in the run."""
         return Applied(self.modules[number], self.executions[number], self.modules[number].flags)
 
+    @property
+    def begins_with_batch(self) -> bool:
+        """Whether the first augmentation makes a list a batch."""
+        return self.of_list is not None and self.of_list.sized.own == 0
+
+    def warp_of_list(
+        self, numbers: Sequence[int], matrix: Tensor | None, size: Sequence[int], resampling: Any
+    ) -> ListWarp | None:
+        """The stage of augmentations by their numbers, if the first one has made a list a batch with images of a size."""
+        if not self.begins_with_batch:
+            return None
+        assert matrix is not None
+        if len(numbers) == 1:
+            self.executions[0].keep_matrix(matrix)
+        return ListWarp(matrix, self.of_list, list(size), resampling, parts=self.parts(numbers))
+
 
 class Alone(NamedTuple):
     """An augmentation that runs by itself."""
@@ -65,16 +86,21 @@ class Alone(NamedTuple):
     chain: Sequence[Transform] = ()  # of its matrix, if it has one, bound to its columns
     read_by: Pass | None = None  # the pass behind it, which may read pieces of images where these are
 
-    def run_list(self, images: Sequence[Tensor], running: Running) -> Any:
-        """What it makes of a list: a list, or a batch where all results have one size."""
+    def _run_list(self, images: Sequence[Tensor], running: Running) -> tuple[Any, Stage | None]:
+        """The same of a list, which stays one or becomes a batch."""
         module, execution = running.modules[self.number], running.executions[self.number]
-        if module.warps_lists_by_matrix:
+        if module.warps_lists_by_matrix or running.begins_with_batch:
             columns, dtype = running.columns, compute_dtype(images[0])
             columns = images[0].new_empty(len(images), 0, dtype=dtype) if columns is None else as_dtype(columns, dtype)
             execution.matrix = transform_matrix(columns, self.chain)
-        return module._run_list(images, execution)
+        y = module._run_list(images, execution)
+        if not running.begins_with_batch:
+            return y, None
+        return y, running.warp_of_list([self.number], execution.matrix, y.shape[2:], module.resampling(module.flags))
 
-    def run(self, x: Tensor, running: Running) -> tuple[Tensor, Stage | None]:
+    def run(self, x: Any, running: Running) -> tuple[Any, Stage | None]:
+        if running.of_list is not None and isinstance(x, list):
+            return self._run_list(x, running)
         applied = running.applied(self.number)
         if self.read_by is not None and self.read_by.reads_pieces(x):
             running.pieces = applied.module._copied_pieces(applied.execution)
@@ -99,10 +125,23 @@ class Joined(NamedTuple):
     size: tuple[int, int]
     resampling: Resampling | None
 
-    def run(self, x: Tensor, running: Running) -> tuple[Tensor, Stage | None]:
+    def run(self, x: Any, running: Running) -> tuple[Any, Stage | None]:
+        if running.of_list is not None and isinstance(x, list):
+            y, matrix = running.result or self._run_list(x, running.columns, running.of_list.sized)
+            running.result = None
+            return y, running.warp_of_list(self.geometric, matrix, self.size, self.resampling)
         y, matrix = running.result or self.image_pass.run(x, running.columns, running.pieces)
         running.result = running.pieces = None
         return y, self.stage(x, matrix, running)
+
+    def _run_list(self, images: list[Tensor], columns: Tensor | None, sized: Sized) -> tuple[Any, Tensor | None]:
+        """What the pass makes of a list: a batch with its matrices where an augmentation gives all images one size, or a list."""
+        columns, fill, size, *rest = self.image_pass.arguments(like_batch(images), columns)
+        if sized.own in self.geometric:
+            y, matrix, _ = warp_and_color_list(images, columns, fill, size, *rest)
+            return y, matrix
+        sizes = sized.sizes_after(self.geometric, images) if sized.changes(self.geometric) else []
+        return list(warp_and_color_to_list(images, columns, fill, len(size) > 0, sizes, *rest)[: len(images)]), None
 
     def replayed(self, like: Tensor, running: Running) -> Stage | None:
         """The stage of images that were moved already, like a batch of their type and device."""

@@ -15,10 +15,10 @@ from kvision._choices import OutputType, WindowPadding
 from kvision.augmentation.engine.call_context import CallContext
 from kvision.augmentation.engine.chain_executor import checked_items
 from kvision.augmentation.engine.image_sequential import ImageSequential
-from kvision.augmentation.engine.list_calls import Sizes
 from kvision.augmentation.engine.record import AnyParamItem, Child, ParamItem, Record, item_of
 from kvision.augmentation.engine.result_types import in_wider_type
 from kvision.augmentation.engine.runs import execute
+from kvision.augmentation.engine.sized import Sizes
 from kvision.augmentation.engine.stages import Cells, Chain
 from kvision.augmentation.engine.turns import execute_turns
 from kvision.augmentation.inputs import parse_size

@@ -35,33 +35,20 @@ from kvision.augmentation.engine.configuration import Plans
 from kvision.augmentation.engine.declaration import size_of
 from kvision.augmentation.engine.execution import Execution, Shape, matrix_type
 from kvision.augmentation.engine.executor import Executor, decides, may_apply
-from kvision.augmentation.engine.list_calls import SIZES
-from kvision.augmentation.engine.lists import ListCall, ListWarp, execute_list, list_plan
 from kvision.augmentation.engine.passes import Alone, Joined, Running, Step, plan_steps
 from kvision.augmentation.engine.record import Child
 from kvision.augmentation.engine.stages import Applied, Stage
 from kvision.augmentation.keys import Keys, check_seeds
+from kvision.augmentation.labels import masks_as_batch
 from kvision.augmentation.warp_and_color import SAME, frames_pass
-from kvision.augmentation.warp_and_color_list import warp_and_color_list
 from kvision.color.frames import Frames
-from kvision.geometry.transform.lists.arguments import like_batch
-from kvision.geometry.transform.lists.arguments import sizes as sides_of
 
 
 def execute(
-    x: Any, children: Sequence[Child], context: CallContext, position: int | None = None, before: int = 0
+    x: Tensor, children: Sequence[Child], context: CallContext, position: int | None = None
 ) -> tuple[Tensor, list[Stage]]:
-    """Run children on images (B, C, H, W), or a list of images; gives the result and what labels have to follow.
-
-    `before` is how many children of the first run have run already, and have drawn nothing.
-    """
+    """Run children on images (B, C, H, W); gives the result and what labels have to follow."""
     position = context.position if position is None else position
-    if isinstance(x, list):
-        x, first, ran, drawn = _execute_list(x, children, context, position)
-        if ran == len(children):  # and has given the result its type and layout
-            return x, first
-        x, rest = execute(x, children[ran:], context.after(first), position + drawn, ran - drawn)
-        return x, [*first, *rest]
     key = _key(x, children, context, position)
     plan: RunPlan | None = context.plans.get(key)
     if plan is not None:
@@ -79,7 +66,7 @@ def execute(
             x, stage = _execute_alone(x, run[0], context.after(stages), position)
             x = own.converted(x)
             stages.append(stage)
-        position, before = position + len(run) + before, 0
+        position += len(run)
         if context.source is not None:
             context = context._replace(source=None)
     return x if runs else context.converted(x), stages
@@ -105,75 +92,6 @@ def images_of(frames: Frames) -> Tensor:
     """The images (B, 3, H, W) that frames are."""
     rgb = frames.rgb()
     return rgb[None] if frames.is_single else rgb
-
-
-def _execute_list(
-    images: list[Tensor], children: Sequence[Child], context: CallContext, position: int
-) -> tuple[Tensor, list[Stage], int, int]:
-    """The first children on a list of images, of which the first one makes it a batch: the result, the stages, how many they
-    are, and how many positions in the chain of draws they take.
-    """
-    run, is_joined = runs_of(children, context.plans)[0]
-    if is_joined and run[0].params is None:
-        own = context if len(run) == len(children) else context._replace(output=SAME)
-        x, modules = images[0], map(id, [child.module for child in run])
-        key = ("list", len(images), x.shape[0], x.dtype, position, context.seed is None, own.output, *modules)
-        plan = context.plans.made(key, lambda: _list_plan(images, run, own, position))
-        if plan is not None:
-            x, stages = _execute_list_run(images, run, own, plan)
-            return x, stages, len(run), len(run)
-    x, stage, draws = execute_list(images, children[0], context, position)
-    return context.converted(x) if len(children) == 1 else x, [stage], 1, int(draws)
-
-
-def _list_plan(images: list[Tensor], run: Sequence[Child], context: CallContext, position: int) -> RunPlan | None:
-    """The plan of a run on a list, whatever its sizes; None where the first child is executed by itself."""
-    modules: list[Any] = [child.module for child in run]  # augmentations
-    # What decides in each call whether it is applied, or reads labels, is executed after the first one.
-    is_decided = any(decides(m) or m._derives for m in modules)
-    if is_decided or context.frames > 1 or context.owners is not None or context.is_certain:
-        return None
-    x, first = images[0].detach().new_empty(1).expand(len(images), images[0].shape[0], *SIZES[0]), list_plan(modules[0])
-    assert first is not None  # of what makes the list a batch
-    plan, _ = plan_run(x, modules, context, position, first.sized.bound)
-    step = plan.steps[0] if plan.steps else None
-    is_joined = isinstance(step, Joined) and len(step.geometric) > 0 and step.geometric[0] == 0
-    if not is_joined or len(plan.draws) > 1 or any(draws.learned is not None for draws in plan.draws):
-        return None
-    return plan
-
-
-def _execute_list_run(
-    images: list[Tensor], run: Sequence[Child], context: CallContext, plan: RunPlan
-) -> tuple[Tensor, list[Stage]]:
-    modules: list[Executor] = [child.module for child in run]  # type: ignore[misc]  # by runs_of
-    like, step = like_batch(images), plan.steps[0]
-    assert isinstance(step, Joined) and step.resampling is not None
-    keys = context.keys(plan.drawing, like) if plan.draws else None
-    context.check_seeds(keys, len(images))
-    first, result, own_plan = plan.calls[0], None, list_plan(modules[0])
-    draws = first.number is not None
-    if isinstance(plan.drawn, DrawnPass) and keys is not None and draws and own_plan and own_plan.only_windows_differ:
-        result = plan.drawn.run_list(images, keys)
-    columns: Tensor | None = None
-    sides: Any = sides_of(images) if result is None else result[3]
-    own = ListCall(len(images), images[0].shape[0], sides, modules[0])
-    if result is not None:
-        x, matrix, columns, _ = result
-    else:
-        if keys is not None:
-            listed = own.listed_draws() if draws else ((), ())  # none are those of a batch
-            columns = plan.draws[0].draw_list(like, keys, *listed)
-        columns = own.with_sizes(columns, like)
-        x, matrix, _ = warp_and_color_list(images, *step.image_pass.arguments(like, columns))
-    executions = plan.executions(like, columns, keys)
-    drawn = like.new_empty(len(images), 0, dtype=torch.float32) if columns is None else columns
-    known = matrix if len(step.geometric) == 1 else None
-    executions[0] = own.execution(Columns(drawn, first.span or Span(0, 0, False)), matrix_type(like), known)
-    stage = ListWarp(matrix, own, list(step.size), step.resampling)
-    running = Running(modules, executions, columns, context.has_labels)
-    x, more = _run_steps(x, run, plan.steps[1:], running)
-    return x, [stage, *more]
 
 
 def _execute_alone(x: Tensor, child: Child, context: CallContext, position: int) -> tuple[Tensor, Stage]:
@@ -325,13 +243,18 @@ def _execute_run(
     if context.source is not None:
         running.result = _read_frames(context.source, x, steps[0], running) if steps else None
         x = x if running.result is not None else images_of(context.source)
-    return _run_steps(x, run, steps, running)
+    keep_executions(run, executions)
+    return run_steps(x, steps, running)
 
 
-def _run_steps(x: Tensor, run: Sequence[Child], steps: Sequence[Step], running: Running) -> tuple[Tensor, list[Stage]]:
-    """Run steps of a plan; gives the result and what labels have to follow."""
-    for child, execution in zip(run, running.executions):
+def keep_executions(run: Sequence[Child], executions: Sequence[Execution]) -> None:
+    """Let these be what children did in the call."""
+    for child, execution in zip(run, executions):
         child.record = child.module.__dict__["_execution"] = execution  # faster than Module.__setattr__
+
+
+def run_steps(x: Any, steps: Sequence[Step], running: Running) -> tuple[Any, list[Stage]]:
+    """Run steps of a plan on a batch or a list; gives the result and what labels have to follow."""
     stages: list[Stage] = []
     for step in steps:
         x, stage = step.run(x, running)
@@ -396,7 +319,10 @@ def with_derived(
                 labels = labels.to(columns.device) if isinstance(labels, Tensor) else labels
             drawn = Columns(columns, call.derived_from)
             sizes = size_of(execution.shape, columns) if sizes_before is None else sizes_before(number)
-            execution.columns = module._derived(drawn, sizes, labels, context.frames)
+            if sizes_before is not None and isinstance(labels, list):
+                execution.columns = _derived_of_each(module, drawn, sizes, labels)
+            else:
+                execution.columns = module._derived(drawn, sizes, labels, context.frames)
             execution.redraw = None  # the host does not know the labels
             parts.append(execution.columns.drawn)
         stages.append(Applied(module, execution, module.flags))
@@ -405,6 +331,15 @@ def with_derived(
         if call.derived_from is not None and call.span is not None:
             execution.columns = Columns(columns, call.span)
     return columns
+
+
+def _derived_of_each(module: Executor, drawn: Columns, sizes: Tensor, masks: Sequence[Any]) -> Columns:
+    """The columns that an augmentation derives from the masks of each image of a list, (N, H, W) of each input."""
+    each = []
+    for b, size in enumerate(sizes.split(1)):
+        own = [masks_as_batch(x[None] if x.dim() == 3 else x) for x in (of_input[b] for of_input in masks)]
+        each.append(module._derived(drawn._replace(drawn=drawn.drawn[b : b + 1]), size, own))
+    return each[0]._replace(drawn=torch.cat([columns.drawn for columns in each]))
 
 
 def plan_run(

@@ -22,11 +22,12 @@ from kvision.augmentation.draws import Draw
 from kvision.augmentation.engine.call_context import CallContext
 from kvision.augmentation.engine.execution import Shape
 from kvision.augmentation.engine.executor import may_apply
-from kvision.augmentation.engine.list_calls import SIZES
 from kvision.augmentation.transforms import Transform
 from kvision.geometry.transform.lists.arguments import sizes as sides_of
 
 Size = tuple[int, ...]
+Sizes = tuple[Size, Size]
+SIZES: Sizes = ((40037, 53003), (91009, 23003))  # of images that show what depends on their size; larger than any crop
 _CORNERS = ((64, 64), (128, 64), (64, 128))  # sizes from which linear functions follow; at the others they are compared
 _ANY = 2  # images of a batch, on which nothing here depends
 _SQUARE = (SIZES[0][0], SIZES[0][0])  # may be drawn for in another way
@@ -232,6 +233,20 @@ class Sized:
         return bound
 
 
+class ImagesOfList:
+    """The images of a list in a run: what depends on their sizes, and height and width of each, or a tensor of them."""
+
+    def __init__(self, sized: Sized, sides: Sequence[int] | Tensor) -> None:
+        self.sized, self._sides = sized, sides
+
+    @property
+    def sides(self) -> Sequence[int]:
+        """Height and width of each image."""
+        if isinstance(self._sides, Tensor):
+            self._sides = self._sides.flatten().tolist()
+        return self._sides
+
+
 def listed(numbers: SizedNumbers | NumbersOfEach, sides: Sequence[int]) -> list[float]:
     """The numbers for height and width of the first image, the second, ..."""
     if is_compiling():  # a graph has no numbers of tensors
@@ -260,7 +275,8 @@ def find_sized(modules: Sequence[Any], applied: Sequence[bool], channels: int, c
         return None
     for number, module in enumerate(modules):
         moves = not all(m.keeps_positions for m in modules[:number])
-        if module.reads_labels is not None and (moves or not (module.reads_labels == "boxes" or module.needs_masks)):
+        reads_batches = number > 0 and module.reads_labels == "masks" and not module.needs_masks
+        if module.reads_labels is not None and (moves or reads_batches):
             return None  # labels are read as the call has them
     of_sizes = [own for _, own in _valid(Reading(modules, applied, _ANY, channels, context).shapes)]
     if any(shape[:2] != (_ANY, channels) for shapes in of_sizes for shape in shapes):
@@ -275,3 +291,34 @@ def find_sized(modules: Sequence[Any], applied: Sequence[bool], channels: int, c
             sizing.append(number)
     sized = Sized(Reading(modules[: own + 1], applied, _ANY, channels, context), own, sizing)
     return sized if sized.has_same_forms else None
+
+
+# --- sizes of results -----------------------------------------------------------------------------------------------
+
+
+def sizes_after(module: Any, sizes: Sizes) -> Sizes | None:
+    """What a module makes of two sizes; None where it depends on more than these."""
+    if hasattr(module, "_sizes_after"):
+        own: Sizes | None = module._sizes_after(sizes)
+        return own
+    if not hasattr(module, "output_shape") or not module.has_known_size or module._is_customized():
+        return None
+    after = tuple(tuple(module.output_shape((1, 3, *size), module.flags)[2:]) for size in sizes)
+    if after != sizes and module.whole_batch and module.p_batch < 1:
+        return None
+    return after[0], after[1]
+
+
+def gives_one_size(module: Any) -> bool:
+    """Whether images of any sizes have one in the end, in every call."""
+    sizes: Sizes | None = module._plans.made("sizes", lambda: sizes_after(module, SIZES))
+    return sizes is not None and sizes[0] == sizes[1]
+
+
+def makes_batch(module: Any) -> bool:
+    """Whether one launch of an augmentation makes images of any sizes a batch, in every call."""
+    if not hasattr(module, "matrix_transforms") or not module.takes_lists or not gives_one_size(module):
+        return False
+    sized = find_sized([module], [True], 3, CallContext.of_module("", None, None))
+    has_matrix = module.matrix_transforms((1, 3, *SIZES[0]), module.flags) is not None
+    return module.whole_batch and has_matrix and sized is not None and sized.own == 0 and sized.has_same_draws

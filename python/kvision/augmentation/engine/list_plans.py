@@ -1,0 +1,266 @@
+"""Plans of runs on a list of images, whatever its length and sizes.
+
+What a draw or a matrix takes from the size of its image is a number of each image: a linear function of height and width, or one
+that is read for each size (sized.py). Those of draws replace their numbers, those of matrices are columns behind the drawn ones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+from torch.compiler import is_compiling
+
+from kvision.augmentation.columns import DrawPlan
+from kvision.augmentation.drawn_pass import DrawnListPass, DrawnPass, SizedDraws
+from kvision.augmentation.draws import HEADER, MAX_DRAWS, MAX_NUMBERS, SIZED, Draw, Request, make_plan
+from kvision.augmentation.engine.call_context import CallContext
+from kvision.augmentation.engine.execution import Execution
+from kvision.augmentation.engine.passes import Alone, Joined, Step
+from kvision.augmentation.engine.record import Child
+from kvision.augmentation.engine.runs import RunPlan, plan_run
+from kvision.augmentation.engine.sized import SIZES, NumbersOfEach, Sized, SizedNumbers, find_sized, listed
+from kvision.augmentation.keys import Keys
+from kvision.geometry.transform.lists.arguments import sizes as sides_of
+
+_ANY = 2  # images of a batch in plans, which do not depend on it
+
+
+class ListPlan(NamedTuple):
+    """A run on lists."""
+
+    run: RunPlan
+    steps: int  # which read lists
+    sized: Sized
+    draws: DrawPlan | None  # of all columns; None if there are none
+    listed: Sequence[int]  # the draws with numbers of each image, by their positions among all
+    numbers: SizedNumbers | NumbersOfEach | None
+    drawn: DrawnListPass | DrawnPass | None  # the draws with the first step, which gives a list or a batch
+    drawn_alone: SizedDraws | None  # the draws
+    begins_with_batch: bool  # the first augmentation makes one
+    reads_executions: bool  # what each augmentation has drawn is read in the call
+
+    def keys(self, like: Tensor, count: int, context: CallContext) -> Keys | None:
+        """What the columns of a call are drawn from."""
+        if self.draws is None:
+            return None
+        drawing = self.run.drawing
+        keys = context.keys(drawing, like) if drawing else Keys(torch.zeros(1, dtype=torch.int64, device="cpu"))
+        context.check_seeds(keys, count)
+        return keys
+
+    def draw(
+        self, images: list[Tensor], like: Tensor, keys: Keys | None, owners: Tensor | None
+    ) -> tuple[tuple[Any, Tensor | None] | None, Tensor | None, Any]:
+        """What the first step gives if one kernel computes it, the columns, and height and width of each image."""
+        if isinstance(self.drawn, DrawnListPass) and self.drawn.serves(images):
+            y, columns, sides = self.drawn.run(images, keys)
+            return (y, None), None if self.draws is None else columns, sides
+        if isinstance(self.drawn, DrawnPass) and keys is not None:
+            done = self.drawn.run_list(images, keys)
+            if done is not None:
+                return done[:2], *done[2:]
+        alone = None if keys is None or is_compiling() else self.drawn_alone
+        of_sizes: Any = None if alone is None or keys is None else alone.run(images, keys)
+        if of_sizes is None:
+            own = sides_of(images)  # which checks them
+            of_sizes = self._columns(like, keys, own), own
+        columns, sides = of_sizes
+        return None, None if columns is None else self.run.of_owners(columns, owners), sides
+
+    def _columns(self, like: Tensor, keys: Keys | None, sides: Sequence[int]) -> Tensor | None:
+        if self.draws is None or keys is None:
+            return None
+        if self.numbers is None:
+            return self.draws.draw(like, keys)
+        return self.draws.draw_list(like, keys, self.listed, listed(self.numbers, sides))
+
+    def executions(self, like: Tensor, count: int, columns: Tensor | None, keys: Keys | None) -> list[Execution]:
+        """The execution of each augmentation, for so many images."""
+        executions = self.run.executions(like, columns, keys)
+        for execution in executions:
+            execution.shape = (count, *execution.shape[1:])
+        return executions
+
+
+def kept_plan(
+    images: Sequence[Tensor], modules: Sequence[Any], applied: Sequence[bool], context: CallContext
+) -> ListPlan | None:
+    """The plan of a run; None where it is not made of passes: others draw for the pixels of a batch, or are found in it."""
+    first = images[0]
+    own = (
+        first.shape[0],
+        first.dtype,
+        context.position,
+        context.seed is None,
+        context.once,
+        context.output,
+        context.is_certain,
+        context.owners is None,
+    )
+    key = ("list run", *own, *applied, *map(id, modules))
+    plan: ListPlan | None = context.plans.made(key, lambda: _make_plan(images, modules, applied, context))
+    return plan
+
+
+def _make_plan(
+    images: Sequence[Tensor], modules: Sequence[Any], applied: Sequence[bool], context: CallContext
+) -> ListPlan | None:
+    batch, channels = _ANY, images[0].shape[0]
+    sized = find_sized(modules, applied, channels, context)
+    if sized is None or not sized.has_same_draws:
+        return None
+    has_one_size, begins_with_batch = sized.own < len(modules), sized.own == 0
+    like = images[0].detach().new_empty(1).expand(batch, channels, *SIZES[0])
+    run, _ = plan_run(like, modules, context, context.position, sized.bound)
+    if len(run.draws) > 1 or any(draws.learned is not None for draws in run.draws):
+        return None
+    steps = count_list_steps(run.steps, sized.own if has_one_size else None)
+    # The records of parts are made of passes; a batch from the first step on has its own.
+    read = run.steps[:steps] if begins_with_batch and not context.once else run.steps
+    if not all(takes_list(step, modules, like.dtype) for step in read):
+        return None
+    if context.output.memory_format is not None and not has_one_size:
+        return None
+    by_matrix = [
+        isinstance(s, Joined) or (isinstance(s, Alone) and modules[s.number].warps_lists_by_matrix) for s in run.steps
+    ]
+    has_inputs = begins_with_batch or any(by_matrix[:steps])  # others read sizes themselves
+    numbers = sized.numbers(has_inputs=has_inputs)
+    draws, places = run.draws[0] if run.draws else None, list(sized.draws)
+    if sized.count and has_inputs:
+        places += [_count_draws(draws) + i for i in range(sized.count)]
+        draws = _with_numbers(draws, sized.count)
+    if draws is not None and not draws.plan[0]:  # nothing but a chance, which the host knows
+        draws = None
+    if draws is not None and (_count_draws(draws) > MAX_DRAWS or len(draws.numbers) > MAX_NUMBERS):
+        return None
+    drawn: DrawnListPass | DrawnPass | None = None
+    sized_draws = None
+    if draws is not None and not isinstance(numbers, NumbersOfEach):
+        sized_draws = SizedDraws(draws, places, _linear(numbers))
+    first = run.steps[0] if run.steps else None
+    if isinstance(first, Joined) and context.owners is None and not run.derives:
+        if steps > 1 or not has_one_size:
+            changes = sized.changes(first.geometric)
+            if draws is not None or changes:
+                of_pass = sized.numbers(draws is not None, then=first.geometric) if changes else numbers
+                of_each = of_pass if isinstance(of_pass, NumbersOfEach) else _linear(of_pass)
+                own = draws or _NO_DRAWS
+                drawn = DrawnListPass(own, places, of_each, changes, first.image_pass, like.shape, like.dtype)
+        elif begins_with_batch and isinstance(run.drawn, DrawnPass) and run.calls[0].number is not None:
+            drawn = run.drawn if _draws_windows(sized) else None
+    reads_executions = run.derives or len(run.steps) > steps or any(isinstance(step, Alone) for step in run.steps)
+    flags = begins_with_batch, begins_with_batch or reads_executions
+    return ListPlan(run, steps, sized, draws, places, numbers, drawn, sized_draws, *flags)
+
+
+def _draws_windows(sized: Sized) -> bool:
+    """Whether nothing depends on the size of an image but windows that are drawn in it."""
+    draws = zip(*map(sized.reading.draws, SIZES))
+    return not sized.count and all(a == b or (a.kind in SIZED and a.numbers[:-2] == b.numbers[:-2]) for a, b in draws)
+
+
+def count_list_steps(steps: Sequence[Step], crop: int | None) -> int:
+    """How many steps read lists: all, or those up to the one with the augmentation that gives one size."""
+    if crop is None:
+        return len(steps)
+    numbers = [[step.number] if isinstance(step, Alone) else step.geometric for step in steps]
+    return 1 + next(i for i, of_step in enumerate(numbers) if crop in of_step)
+
+
+def takes_list(step: Step, modules: Sequence[Any], dtype: torch.dtype) -> bool:
+    """Whether a step, of those of a run on images of a type, is one operator on the images of a list."""
+    if not isinstance(step, Alone):
+        return isinstance(step, Joined)
+    for module in modules[: step.number]:
+        dtype = module._result_dtype(dtype)
+    takes: bool = modules[step.number]._operates_on(dtype)
+    return takes
+
+
+def _count_draws(draws: DrawPlan | None) -> int:
+    """How many draws a plan has: what is left of it without the number of columns and the headers of requests."""
+    return 0 if draws is None else sum(draws.plan[at + HEADER - 1] for at in _headers(draws.plan))
+
+
+def _headers(plan: Sequence[int]) -> Iterator[int]:
+    at = 1
+    while at < len(plan):
+        yield at
+        at += HEADER + plan[at + HEADER - 1]
+
+
+def _with_numbers(draws: DrawPlan | None, count: int) -> DrawPlan:
+    """The same draws, and behind them columns of numbers."""
+    more = make_plan([Request([Draw("number", (0.0,))] * count)])  # of the first key, which takes no part
+    if draws is None:
+        return DrawPlan(0, 1, more.plan, more.numbers, [], None)
+    plan = [draws.plan[0] + count, *draws.plan[1:], *more.plan[1:]]
+    return draws._replace(plan=plan, numbers=[*draws.numbers, *more.numbers])
+
+
+def _linear(numbers: SizedNumbers | None) -> Tensor:
+    return torch.empty(3, 0, dtype=torch.float64, device="cpu") if numbers is None else numbers.linear()
+
+
+_NO_DRAWS = DrawPlan(0, 1, [0], [], [], None)
+
+
+# --- replays --------------------------------------------------------------------------------------------------------
+
+
+class ReplayPlan(NamedTuple):
+    """A run with given parameters on lists."""
+
+    sized: Sized
+    numbers: SizedNumbers | NumbersOfEach | None  # inputs of matrices
+    has_sized_identity: bool = False  # columns of samples that are not chosen depend on the size
+
+
+def kept_replay(
+    images: Sequence[Tensor], children: Sequence[Child], applied: Sequence[bool], context: CallContext
+) -> ReplayPlan | None:
+    """The plan of a run with the parameters of its children; None where others replay it."""
+    first, names = images[0], [tuple(child.params) for child in children]
+    own = (first.shape[0], first.dtype, context.once, context.output)
+    key = ("list replay", *own, *applied, *[id(child.module) for child in children], *names)
+    plan: ReplayPlan | None = context.plans.made(key, lambda: _make_replay(images, children, applied, context))
+    return plan
+
+
+def _make_replay(
+    images: Sequence[Tensor], children: Sequence[Child], applied: Sequence[bool], context: CallContext
+) -> ReplayPlan | None:
+    modules: list[Any] = [child.module for child in children]
+    sized = find_sized(modules, applied, images[0].shape[0], context)
+    has_pixels = any(m._param_generator is not None and m._param_generator.per_pixel for m in modules)
+    if sized is None or has_pixels or context.output.memory_format is not None:
+        return None
+    count = len(images)
+    if not _has_same_columns(sized, children, count, None):
+        return None
+    none = torch.zeros(count, dtype=torch.bool, device="cpu")
+    return ReplayPlan(sized, sized.numbers(has_draws=False), not _has_same_columns(sized, children, count, none))
+
+
+def _has_same_columns(sized: Sized, children: Sequence[Child], count: int, chosen: Tensor | None) -> bool:
+    """Whether the columns of given parameters of so many images do not depend on their size."""
+    each = [[(count, *shape[1:]) for shape in sized.reading.shapes(size)] for size in SIZES]
+    for child, *shapes in zip(children, *each):  # those behind have one size
+        own: Any = child.module
+        columns = [
+            own._columns_of(child.params, of_size, torch.device("cpu"), chosen).drawn
+            for of_size in shapes
+            if own._executes_columns(of_size)
+        ]
+        if len(columns) == 1 or (columns and not torch.equal(*columns)):
+            return False
+    return True
+
+
+def takes_given(step: Step, modules: Sequence[Any], dtype: torch.dtype) -> bool:
+    """The same with given parameters."""
+    return takes_list(step, modules, dtype) and (not isinstance(step, Alone) or modules[step.number].replays_lists)

@@ -15,6 +15,7 @@ from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from kvision import _ops, tv
+from kvision.core.exceptions import TypeCheckError
 from kvision.tv import containers
 from kvision.tv import functional as F
 from kvision.tv.transform import apply_calls
@@ -460,6 +461,38 @@ def test_pil_images_come_back_with_the_values_of_tensors() -> None:
         assert isinstance(outputs[0], PIL.Image.Image)
         values = torch.from_numpy(np.array(outputs[0])).reshape(*outputs[0].size[::-1], -1).permute(2, 0, 1)
         assert not differences(values.contiguous(), outputs[1].contiguous()), name
+
+
+def test_pil_images_of_palettes_bits_16_bits_and_alpha() -> None:
+    """Palettes and bits are moved by nearest pixels, as PIL moves them; color functions change what are colors alone."""
+    image = PIL.Image.fromarray(photograph().permute(1, 2, 0).numpy())
+    size = [24, 24]
+    for mode in ("P", "1", "I;16"):
+        stored = image.convert("L").convert("I;16") if mode == "I;16" else image.convert(mode)
+        moved = F.pad(F.rotate(F.resize(stored, size), 90, "bilinear"), 2, fill=1)
+        method = PIL.Image.Resampling.BILINEAR if mode == "I;16" else PIL.Image.Resampling.NEAREST
+        expected = np.asarray(stored.resize(size, method).rotate(90))
+        assert moved.mode == mode and moved.getpalette() == stored.getpalette()
+        assert np.array_equal(np.asarray(moved)[4:-4, 4:-4], expected[2:-2, 2:-2])
+        assert all(view.mode == mode for view in F.five_crop(stored, 9))
+        with pytest.raises(
+            TypeCheckError, match=f"invert: expected a PIL image of 8-bit or float levels, got mode {mode}"
+        ):
+            F.invert(stored)
+    for mode in ("P", "1"):
+        assert F.rgb_to_grayscale(image.convert(mode)).mode == "L"
+    alpha = image.convert("L").point(lambda level: 255 - level)
+    image.putalpha(alpha)
+    for function, arguments in (
+        (F.adjust_brightness, (0.5,)),
+        (F.adjust_hue, (0.1,)),
+        (F.invert, ()),
+        (F.equalize, ()),
+    ):
+        output = function(image, *arguments)
+        assert np.array_equal(np.asarray(output)[..., 3], np.asarray(alpha))
+        assert output.convert("RGB") == function(image.convert("RGB"), *arguments)
+    assert F.rgb_to_grayscale(image) == F.rgb_to_grayscale(image.convert("RGB"))
 
 
 def test_crops_and_flips_leave_the_input() -> None:

@@ -67,7 +67,7 @@ def pil_to_tensor(pic: Any) -> Tensor:
 
 
 _MODES = {
-    1: {"uint8": "L", "int16": "I;16", "int32": "I", "float32": "F"},
+    1: {"uint8": "L", "bool": "1", "int16": "I;16", "uint16": "I;16", "int32": "I", "float32": "F"},
     2: {"uint8": "LA"},
     3: {"uint8": "RGB"},
     4: {"uint8": "RGBA"},

@@ -73,7 +73,12 @@ def _gray(x: Tensor) -> Tensor:
     return gray if x.is_floating_point() else gray.floor_()
 
 
-@functional()
+def _grayscale_pil(image: Any, num_output_channels: int = 1) -> Any:
+    colors = {"1": "L", "LA": "L", "RGBA": "RGB", "P": "RGB"}.get(image.mode)
+    return NotImplemented if colors is None else rgb_to_grayscale(image.convert(colors), num_output_channels)
+
+
+@functional(pil=_grayscale_pil)
 def rgb_to_grayscale(inpt: Tensor, num_output_channels: int = 1) -> Tensor:
     """Make gray of RGB images (*, 3, H, W), as .2989 R + .587 G + .114 B.
 
@@ -127,6 +132,7 @@ def _scaled(x: Tensor, factor: float) -> Tensor:
 
 
 @functional(
+    keeps_alpha=True,
     each=_each(_scaled, "brightness_factor"),
     steps=lambda brightness_factor: [("scale_shift", brightness_factor, HALF_A_LEVEL_DOWN, 1.0)],
 )
@@ -172,6 +178,7 @@ def _blended(x: Tensor, factor: Tensor) -> Tensor:
 
 
 @functional(
+    keeps_alpha=True,
     each=_each(_of_colors(_blended), "saturation_factor"),
     steps=lambda saturation_factor: [("saturation_gray", saturation_factor), _around_whole_levels(saturation_factor)],
 )
@@ -206,6 +213,7 @@ def _around_mean(x: Tensor, factor: float) -> Tensor:
 
 
 @functional(
+    keeps_alpha=True,
     each=_each(_around_mean, "contrast_factor"),
     steps=lambda contrast_factor: [("contrast", contrast_factor, 0.0), _around_whole_levels(contrast_factor)],
 )
@@ -243,6 +251,7 @@ def _rotated_hue(x: Tensor, turns: float) -> Tensor:
 
 
 @functional(
+    keeps_alpha=True,
     each=_each(_of_colors(_rotated_hue), "hue_factor", -0.5, 0.5),
     steps=lambda hue_factor: [("hue", 2 * math.pi * hue_factor), ("scale_shift", *_TO_LEVELS)],
 )
@@ -273,7 +282,7 @@ def _power(x: Tensor, gamma: float, gain: float) -> Tensor:
     return _program(x, ("gamma", (gamma, gain)), *([("scale_shift", _TO_LEVELS)] if x.dtype == torch.uint8 else []))
 
 
-@functional()
+@functional(keeps_alpha=True)
 def adjust_gamma(inpt: Tensor, gamma: float, gain: float = 1) -> Tensor:
     """Raise an image, as a fraction of white, to a power.
 
@@ -300,7 +309,7 @@ def adjust_gamma(inpt: Tensor, gamma: float, gain: float = 1) -> Tensor:
 _sharpened = of_all_types(sharpness)
 
 
-@functional(each=_each(lambda x, factor: _sharpened(x, factor[:, 0, 0]), "sharpness_factor"))
+@functional(keeps_alpha=True, each=_each(lambda x, factor: _sharpened(x, factor[:, 0, 0]), "sharpness_factor"))
 def adjust_sharpness(inpt: Tensor, sharpness_factor: float) -> Tensor:
     """Interpolate between an image and its smoothed copy, or extrapolate; the border stays.
 
@@ -324,7 +333,7 @@ def adjust_sharpness(inpt: Tensor, sharpness_factor: float) -> Tensor:
     return inpt if min(inpt.shape[-2:]) <= 2 else _sharpened(inpt, sharpness_factor)
 
 
-@functional(steps=lambda bits: [("posterize", bits, 1.0)])
+@functional(keeps_alpha=True, steps=lambda bits: [("posterize", bits, 1.0)])
 def posterize(inpt: Tensor, bits: int) -> Tensor:
     """Keep the high bits of values, of floats those of 2^bits levels.
 
@@ -362,7 +371,7 @@ def _solarize_steps(threshold: Tensor) -> list[Any]:
     return [("solarize", (threshold.ceil() - 0.5) / 255, 0.0, 0.0)]
 
 
-@functional(steps=_solarize_steps)
+@functional(keeps_alpha=True, steps=_solarize_steps)
 def solarize(inpt: Tensor, threshold: float) -> Tensor:
     """Invert the values of at least a threshold.
 
@@ -398,7 +407,7 @@ def _stretched(x: Tensor) -> Tensor:
     return shaped(scale_shift(batch, factor, torch.where(flat, 0.0, -low * factor) + truncated(x), True), x)
 
 
-@functional()
+@functional(keeps_alpha=True)
 def autocontrast(inpt: Tensor) -> Tensor:
     """Stretch each channel of each image to black and white; constant ones stay.
 
@@ -420,7 +429,7 @@ def autocontrast(inpt: Tensor) -> Tensor:
     return _stretched(inpt) if inpt.numel() else inpt
 
 
-@functional()
+@functional(keeps_alpha=True)
 def equalize(inpt: Tensor) -> Tensor:
     """Equalize the histogram of each channel of each image, of floats that of 256 levels.
 
@@ -441,7 +450,7 @@ def equalize(inpt: Tensor) -> Tensor:
     return to_dtype(equalized(levels), inpt.dtype, scale=True)
 
 
-@functional(steps=lambda: [("scale_shift", -1.0, 1.0, 0.0)])
+@functional(keeps_alpha=True, steps=lambda: [("scale_shift", -1.0, 1.0, 0.0)])
 def invert(inpt: Tensor) -> Tensor:
     """Subtract an image from white.
 

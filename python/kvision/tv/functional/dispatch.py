@@ -17,12 +17,15 @@ from kvision.core.exceptions import TypeCheckError
 from kvision.tv.inputs import IMAGES, LABELS, pil_to_tensor, to_pil_image
 
 Function = TypeVar("Function", bound=Callable[..., Any])  # whose arguments editors show
+# Modes of PIL images: bits and indices of a palette, which cannot be interpolated, and those with alpha.
+_UNMIXED, _WITH_ALPHA = ("1", "P"), ("LA", "RGBA")
 _registered: dict[str, dict[type, Callable[..., Any]]] = {}
 
 
 def functional(
     *,
     moves: bool = False,
+    keeps_alpha: bool = False,
     pil: Callable[..., Any] | None = None,
     mask: Callable[..., Any] | str | None = None,
     each: Callable[[Any, list[dict[str, Any]]], Any] | None = None,
@@ -31,7 +34,8 @@ def functional(
     """Make a public function of a kernel, which takes a tensor (*, C, H, W) and v2's arguments.
 
     `moves` says that masks, boxes and key points follow; `mask` is the kernel of masks where it is another, or "nearest" for that
-    interpolation. `pil` is a function of PIL images with the same values; NotImplemented says that they differ for some arguments.
+    interpolation. `keeps_alpha` says that alpha of PIL images stays. `pil` is a function of PIL images with the same values;
+    NotImplemented says that they differ for some arguments.
     `each` is the kernel of images (B, C, H, W) with arguments of each; NotImplemented says that it has none for some. `steps` are
     those of a color program that a function of bytes is: names with their parameters, by tensors (B,) of the arguments.
     Boxes and key points are torchvision's: their classes exist only where it is loaded, and its functions are public.
@@ -41,6 +45,7 @@ def functional(
         name = kernel.__name__
         parameters = tuple(inspect.signature(kernel).parameters.values())[1:]
         names = tuple(p.name for p in parameters)
+        moves_pixels = moves or name in ("five_crop", "ten_crop")
 
         @functools.wraps(kernel)
         def call(inpt: Any, *args: Any, **kwargs: Any) -> Any:
@@ -52,7 +57,13 @@ def functional(
                 return wrap(kernel(plain(inpt), *args, **kwargs), inpt)
             if kind == "pil":
                 output = pil(inpt, *args, **kwargs) if pil is not None else NotImplemented
-                return _on_pil(kernel, inpt, *args, **kwargs) if output is NotImplemented else output
+                if output is not NotImplemented:
+                    return output
+                if not moves_pixels and inpt.mode in (*_UNMIXED, "I;16"):
+                    raise TypeCheckError(f"{name}: expected a PIL image of 8-bit or float levels, got mode {inpt.mode}")
+                if inpt.mode in _UNMIXED and "interpolation" in names:
+                    args, kwargs = (), {**kwargs, **dict(zip(names, args)), "interpolation": "nearest"}
+                return _on_pil(kernel, keeps_alpha, inpt, *args, **kwargs)
             if kind == "mask" and moves:
                 kwargs.update(zip(names, args))
                 if mask == "nearest":
@@ -164,8 +175,22 @@ def _on_mask(kernel: Callable[..., Any], x: Any, kwargs: dict[str, Any]) -> Any:
     return kernel(x[None], **kwargs)[0]
 
 
-def _on_pil(kernel: Callable[..., Any], image: Any, *args: Any, **kwargs: Any) -> Any:
-    output = kernel(pil_to_tensor(image), *args, **kwargs)
-    if isinstance(output, tuple):
-        return tuple(to_pil_image(x, image.mode) for x in output)
-    return to_pil_image(output, image.mode if output.shape[-3] == len(image.getbands()) else None)
+def _on_pil(kernel: Callable[..., Any], keeps_alpha: bool, image: Any, *args: Any, **kwargs: Any) -> Any:
+    x = pil_to_tensor(image)
+    if x.dtype == torch.uint16:
+        x = x.int()  # torch flips no uint16 before 2.14
+    if keeps_alpha and image.mode in _WITH_ALPHA:
+        return _as_pil(torch.cat([kernel(x[:-1], *args, **kwargs), x[-1:]]), image)
+    output = kernel(x, *args, **kwargs)
+    return tuple(_as_pil(x, image) for x in output) if isinstance(output, tuple) else _as_pil(output, image)
+
+
+def _as_pil(x: Tensor, source: Any) -> Any:
+    """A PIL image of the mode of another one, unless the number of channels has changed."""
+    x = x.to(torch.uint16) if source.mode == "I;16" else x
+    if source.mode != "P":
+        return to_pil_image(x, source.mode if x.shape[-3] == len(source.getbands()) else None)
+    image, colors = to_pil_image(x), source.palette.mode
+    image.putpalette(source.getpalette(colors), colors)
+    image.info = dict(source.info)
+    return image

@@ -263,9 +263,12 @@ def resized_size(height: int, width: int, size: Any, max_size: int | None) -> tu
 def _resize_pil(
     image: Any, size: Any, interpolation: Any = "bilinear", max_size: int | None = None, antialias: bool | None = True
 ) -> Any:
-    """PIL's antialiased resizing, which torch's of bytes follows; NotImplemented for what PIL does otherwise."""
+    """PIL's antialiased resizing, which torch's of bytes follows, and of bits and palettes, whose nearest pixels it takes.
+
+    NotImplemented for what PIL does otherwise.
+    """
     mode = interpolation_name("resize", interpolation)
-    if "nearest" in mode or image.mode not in ("L", "RGB"):
+    if image.mode not in ("1", "P") and ("nearest" in mode or image.mode not in ("L", "RGB", "I;16")):
         return NotImplemented
     new = resized_size(image.height, image.width, size, max_size)
     return image if new == (image.height, image.width) else image.resize(new[::-1], _OF_PIL.index(mode))

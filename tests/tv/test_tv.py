@@ -495,6 +495,12 @@ def test_pil_images_of_palettes_bits_16_bits_and_alpha() -> None:
     assert F.rgb_to_grayscale(image) == F.rgb_to_grayscale(image.convert("RGB"))
 
 
+def test_16_bits_become_a_pil_image_of_16_bits() -> None:
+    for dtype in (torch.int16, torch.uint16):
+        image = F.to_pil_image(torch.tensor([[[3, 30000]]], dtype=dtype))
+        assert image.mode == "I;16" and np.asarray(image).tolist() == [[3, 30000]]
+
+
 def test_crops_and_flips_leave_the_input() -> None:
     x = photograph()
     kept = x.clone()

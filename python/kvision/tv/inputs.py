@@ -118,4 +118,4 @@ def to_pil_image(pic: Any, mode: str | None = None) -> Any:
     array = array[..., 0] if array.ndim == 3 and channels == 1 else array
     if mode is not None and mode != usual:
         return PIL.Image.frombytes(mode, array.shape[1::-1], np.ascontiguousarray(array).tobytes())
-    return PIL.Image.fromarray(array)
+    return PIL.Image.fromarray(array.view(np.uint16) if array.dtype == np.int16 else array)  # I;16, not I, as v2's

@@ -37,7 +37,8 @@ __device__ __forceinline__ Window<Filter> window_of(ResizeAxis const& axis, int 
 #pragma unroll
     for (int t = 0; t < kTaps<Filter>; ++t) {
       int const at = window.first + t;
-      window.weights[t] = at >= 0 && at < axis.source ? window_at<float>(axis, at * axis.den - n) : 0.f;
+      float const distance = float(double(at * axis.den - n) * axis.per_unit);
+      window.weights[t] = at >= 0 && at < axis.source ? filter_at(ResizeFilter::bilinear, true, distance) : 0.f;
       sum += window.weights[t];
     }
     float const norm = 1 / sum;
@@ -47,11 +48,23 @@ __device__ __forceinline__ Window<Filter> window_of(ResizeAxis const& axis, int 
   }
 }
 
+// A row of the source: its weights in the three rows of the result that are not complete, bits of those that have it
+// in their window, and bit 3 where it completes the first of them.
+struct alignas(16) SourceRow {
+  float weights[3];
+  unsigned bits;
+};
+// Bytes are filtered along x as integers, two pixels and two weights at a time: their rows are units of 2^-15.
+template <class T, ResizeFilter Filter>
+constexpr bool kByInteger = sizeof(T) == 1 && !kPyrdown<Filter>;
+
 template <class T, ResizeFilter Filter, int Bytes>
 __global__ void __launch_bounds__(kThreads, 5)
     near_half_groups(__grid_constant__ Resize<T> const p, __grid_constant__ ColumnGroups<P, kThreads> const groups) {
   constexpr int kTaps = cuda::kTaps<Filter>, kReach = cuda::kReach<Filter>, kRead = cuda::kRead<Filter>;
+  constexpr bool kByInteger = cuda::kByInteger<T, Filter>;
   __shared__ Window<Filter> rows[2 * kRows + 2];
+  __shared__ SourceRow source_rows[2 * kRows * 9 / 4 + 2 * kTaps];
   int64_t plane;
   int x, y0;
   groups.locate(plane, x, y0);
@@ -61,8 +74,23 @@ __global__ void __launch_bounds__(kThreads, 5)
     if (y0 + i >= y1) rows[i].first = INT32_MAX / 2;  // begins after the last row that is read
   }
   __syncthreads();
+  int const begin = rows[0].first, end = rows[y1 - 1 - y0].first + kTaps;
+  for (int i = threadIdx.x; i < end - begin; i += int(blockDim.x)) {
+    int at = max((i - kTaps) * 4 / 9, 0);  // the first row of the result that is not complete, or one before
+    while (rows[at].first + kTaps <= begin + i) ++at;
+    SourceRow row{{}, begin + i - rows[at].first == kTaps - 1 ? 8u : 0u};
+    for (int s = 0; s < 3; ++s) {
+      int const tap = begin + i - rows[at + s].first;
+      if (tap < 0) break;
+      row.weights[s] = rows[at + s].weights[tap] * (kByInteger ? 0x1p-15f : 1.f);
+      if (kPyrdown<Filter> || row.weights[s] != 0) row.bits |= 1u << s;
+    }
+    source_rows[i] = row;
+  }
+  __syncthreads();
 
-  float weights[P][kTaps];
+  float weights[P][kTaps + 1];  // of the pixels from 2 j on; the first or the last is 0
+  uint32_t pairs[P][kTaps / 2 + 1];
   bool late[P];  // whether the window begins at 2 j + 1
   int first;     // of the group
 #pragma unroll
@@ -71,17 +99,22 @@ __global__ void __launch_bounds__(kThreads, 5)
     if (j == 0) first = window.first;
     late[j] = window.first - first > 2 * j;
 #pragma unroll
-    for (int t = 0; t < kTaps; ++t) weights[j][t] = window.weights[t];
+    for (int t = 0; t <= kTaps; ++t) {
+      float const early = t < kTaps ? window.weights[min(t, kTaps - 1)] : 0;
+      weights[j][t] = late[j] ? (t > 0 ? window.weights[max(t - 1, 0)] : 0) : early;
+    }
+    if constexpr (kByInteger)
+#pragma unroll
+      for (int t = 0; t <= kTaps; t += 2)
+        pairs[j][t / 2] = __float2uint_rn(weights[j][t] * 0x1p15f) | __float2uint_rn(weights[j][t + 1] * 0x1p15f) << 16;
   }
-  bool const any_late = __any_sync(0xffffffffu, late[P - 1]);
   bool const left_end = first < 0, right_end = x + P == int(p.y.width);
   Border const border = p.columns.border;
   using Rows = GroupRows<T, kRead - 2 * kReach, kReach>;
   Rows const reader(p.x, plane, first + kReach, border);
   GroupStore<T, P, Bytes> out(p.y, plane, x, y0);
 
-  int y = rows[0].first;
-  int const end = rows[y1 - 1 - y0].first + kTaps;
+  int y = begin;
   auto const fetch = [&](int y) {
     int const source = y < end ? border_index(p.rows.border, y, height) : -1;
     return source < 0 ? typename Rows::Fetched{} : reader.fetch(source);
@@ -90,83 +123,87 @@ __global__ void __launch_bounds__(kThreads, 5)
 #pragma unroll
   for (int i = 0; i < kAhead; ++i) ahead[i] = fetch(y + i);
   float sums[3][P] = {};  // of the rows of the result that are not complete
-  int at = 0;             // the first of them
 #pragma unroll 1
   while (y < end) {
 #pragma unroll
     for (int slot = 0; slot < kAhead; ++slot, ++y) {
       if (slot > 0 && y >= end) break;
-      float v[kRead], h[P];
-      reader.unpack(ahead[slot], v);
-      ahead[slot] = fetch(y + kAhead);
-      // Out of bounds are two pixels at an end of the image at most: its coordinates are within.
-      if constexpr (kPyrdown<Filter>) {
-        if (left_end) {
-          v[1] = border == Border::constant ? 0 : border == Border::reflect ? v[3] : v[2];
-          v[0] = border == Border::constant ? 0 : border == Border::reflect ? v[4] : v[2];
-        }
-        if (right_end) {
-          constexpr int kLast = 2 * (P - 1) + kTaps - 1;
-          auto const fill = [&](auto last) {
-            constexpr int i = last.value;  // of the last window
-            v[i - 1] = border == Border::constant ? 0 : border == Border::reflect ? v[i - 3] : v[i - 2];
-            v[i] = border == Border::constant ? 0 : border == Border::reflect ? v[i - 4] : v[i - 2];
-          };
-          if (late[P - 1])
-            fill(std::integral_constant<int, kLast + 1>{});
-          else
-            fill(std::integral_constant<int, kLast>{});
+      SourceRow const row = source_rows[y - begin];
+      float h[P];
+      bool finite = true;
+      if constexpr (kByInteger) {
+        uint32_t packed[Rows::kPacked];
+        reader.pack(ahead[slot], packed);
+        ahead[slot] = fetch(y + kAhead);
+#pragma unroll
+        for (int j = 0; j < P; ++j) {
+          uint32_t sum = 0x4b000000;  // as a float 2^23
+#pragma unroll
+          for (int pair = j; pair <= j + kTaps / 2; ++pair)
+            sum = pair % 2 ? __dp2a_hi(pairs[j][pair - j], packed[pair / 2], sum)
+                           : __dp2a_lo(pairs[j][pair - j], packed[pair / 2], sum);
+          h[j] = __uint_as_float(sum) - float(1 << 23);
         }
       } else {
-        if (left_end) v[0] = 0;
-        if (right_end) {
-#pragma unroll
-          for (int i = kRead - 3; i < kRead; ++i)
-            if (first + i >= width) v[i] = 0;
-        }
-      }
-#pragma unroll
-      for (int j = 0; j < P; ++j) {
-        if (any_late) {
-#pragma unroll
-          for (int t = 0; t < kTaps; ++t) {
-            float const pixel = late[j] ? v[2 * j + t + 1] : v[2 * j + t];
-            h[j] = t == 0 ? weights[j][0] * pixel : fmaf(weights[j][t], pixel, h[j]);
+        float v[kRead];
+        reader.unpack(ahead[slot], v);
+        ahead[slot] = fetch(y + kAhead);
+        // Out of bounds are two pixels at an end of the image at most: its coordinates are within.
+        if constexpr (kPyrdown<Filter>) {
+          if (left_end) {
+            v[1] = border == Border::constant ? 0 : border == Border::reflect ? v[3] : v[2];
+            v[0] = border == Border::constant ? 0 : border == Border::reflect ? v[4] : v[2];
+          }
+          if (right_end) {
+            constexpr int kLast = 2 * (P - 1) + kTaps - 1;
+            auto const fill = [&](auto last) {
+              constexpr int i = last.value;  // of the last window
+              v[i - 1] = border == Border::constant ? 0 : border == Border::reflect ? v[i - 3] : v[i - 2];
+              v[i] = border == Border::constant ? 0 : border == Border::reflect ? v[i - 4] : v[i - 2];
+            };
+            if (late[P - 1])
+              fill(std::integral_constant<int, kLast + 1>{});
+            else
+              fill(std::integral_constant<int, kLast>{});
           }
         } else {
+          if (left_end) v[0] = 0;
+          if (right_end) {
 #pragma unroll
-          for (int t = 0; t < kTaps; ++t)
-            h[j] = t == 0 ? weights[j][0] * v[2 * j] : fmaf(weights[j][t], v[2 * j + t], h[j]);
+            for (int i = kRead - 3; i < kRead; ++i)
+              if (first + i >= width) v[i] = 0;
+          }
         }
-      }
-      if constexpr (!kPyrdown<Filter> && sizeof(T) > 1) {
-        float poison = 0;
 #pragma unroll
-        for (int j = 0; j < P; ++j) poison += h[j] * 0;
-        if (poison != 0) {  // a tap of weight 0 contributes nothing, even if it is inf or NaN
+        for (int j = 0; j < P; ++j)
+#pragma unroll
+          for (int t = 0; t <= kTaps; ++t)
+            h[j] = t == 0 ? weights[j][0] * v[2 * j] : fmaf(weights[j][t], v[2 * j + t], h[j]);
+        if constexpr (sizeof(T) > 1) {
+          float poison = 0;
+#pragma unroll
+          for (int j = 0; j < P; ++j) poison += h[j] * 0;
+          finite = poison == 0;
+        }
+        if (!finite) {  // inf and NaN out of the window, or with weight 0 when resizing, contribute nothing
 #pragma unroll
           for (int j = 0; j < P; ++j) {
             h[j] = 0;
 #pragma unroll
-            for (int t = 0; t < kTaps; ++t) {
-              float const pixel = late[j] ? v[2 * j + t + 1] : v[2 * j + t];
-              if (weights[j][t] != 0) h[j] = fmaf(weights[j][t], pixel, h[j]);
-            }
+            for (int t = 0; t <= kTaps; ++t)
+              if (kPyrdown<Filter> ? t != (late[j] ? 0 : kTaps) : weights[j][t] != 0)
+                h[j] = fmaf(weights[j][t], v[2 * j + t], h[j]);
           }
         }
       }
 #pragma unroll
-      for (int s = 0; s < 3; ++s) {
-        int const tap = y - rows[at + s].first;
-        if (tap < 0) break;
-        float const weight = rows[at + s].weights[tap];
-        if (!kPyrdown<Filter> && weight == 0) continue;
+      for (int s = 0; s < 3; ++s)
+        if (finite || row.bits >> s & 1) {
 #pragma unroll
-        for (int j = 0; j < P; ++j) sums[s][j] = fmaf(weight, h[j], sums[s][j]);
-      }
-      if (y - rows[at].first == kTaps - 1) {
+          for (int j = 0; j < P; ++j) sums[s][j] = fmaf(row.weights[s], h[j], sums[s][j]);
+        }
+      if (row.bits & 8) {
         out.put(rounded<T>(sums[0]));
-        ++at;
 #pragma unroll
         for (int j = 0; j < P; ++j) sums[0][j] = sums[1][j], sums[1][j] = sums[2][j], sums[2][j] = 0;
       }

@@ -18,7 +18,7 @@ from kvision.augmentation.engine.call_labels import CallLabels
 from kvision.augmentation.engine.execution import Execution, ListExecution, Params, Shape, replaying
 from kvision.augmentation.engine.executor import Executor
 from kvision.augmentation.engine.list_calls import Parts, call_in_parts, shapes_of_images
-from kvision.augmentation.engine.list_runs import run_or_replay
+from kvision.augmentation.engine.list_runs import run_list
 from kvision.augmentation.engine.record import Child
 from kvision.augmentation.engine.stages import LabelSettings
 from kvision.augmentation.inputs import (
@@ -142,7 +142,7 @@ class AugmentationBase(Executor, keeps_contract=True):
             keys, inputs = [*keys, _KEYS[self.reads_labels or ""]], [images, labels]
             context = context._replace(labels=CallLabels(keys, inputs, LabelSettings(), largest_shape(images), True))
         with nullcontext() if params is None else replaying(op, params):
-            done = run_or_replay(images, [child], context) if flags is self.flags else None
+            done = run_list(images, [child], context) if flags is self.flags else None
             if done is not None and params is None:  # and has been kept
                 y, _ = done
             else:

@@ -13,8 +13,8 @@ from kvision.augmentation.engine.call_labels import CallLabels
 from kvision.augmentation.engine.chain_executor import ChainExecutor, checked_items
 from kvision.augmentation.engine.configuration import kept
 from kvision.augmentation.engine.list_calls import Parts, call_in_parts, shapes_of_images
-from kvision.augmentation.engine.list_chains import replay_chain, run_chain
-from kvision.augmentation.engine.list_runs import replay_list, replayed_record, run_list
+from kvision.augmentation.engine.list_chains import run_chain
+from kvision.augmentation.engine.list_runs import replayed_record, run_list
 from kvision.augmentation.engine.record import ParamItem, Record
 from kvision.augmentation.engine.sized import SIZES, Sizes, gives_one_size, makes_batch, sizes_after
 from kvision.augmentation.inputs import is_image_list
@@ -70,40 +70,27 @@ class ListCaller(ChainExecutor):
         self, keys: Sequence[DataKey], inputs: Sequence[Any], params: Any, seed: Seed, generator: Generator | None
     ) -> tuple[list[Any], Record] | None:
         """The same of a call whose children are passes over all images; None of others."""
-        if not self._runs_lists or not len(self):
+        if (
+            not self._runs_lists or not len(self) or list(keys).count(DataKey.INPUT) != 1
+        ):  # others replay the parameters
             return None
-        if list(keys).count(DataKey.INPUT) != 1:  # others replay the parameters
-            return None
-        if params is not None:
-            return self._replay_list_by_passes(keys, inputs, params)
         images, labels = inputs[keys.index(DataKey.INPUT)], None
-        if len(keys) > 1 and self._label_settings is not None:
+        if params is None and len(keys) > 1 and self._label_settings is not None:
             labels = CallLabels(keys, inputs, self._label_settings, largest_shape(images), True)
         context = self._context(seed, generator, labels=labels)
-        results: tuple[Any, Parts] | None = None
-        if not self._draws_choices:
-            results = run_list(images, self._own_children(), context)
+        children = self._own_children() if params is None else self._children_of_call(params, context)
+        self._check_batch_of(children, len(images))
+        record: Callable[..., Record] = partial(replayed_record, children, context)
+        results: tuple[Any, Parts | None] | None = None
+        if params is not None or not self._draws_choices:
+            results = run_list(images, children, context)
         if results is None:
-            results = run_chain(self, images, context, generator)
+            results, record = run_chain(self, images, params, context, generator), self._record_of_part
         if results is None:
             return None
         y, parts = results
-        return self._with_labels_of_list(keys, inputs, self._as_batch(y), parts), Record(parts=parts)
-
-    def _replay_list_by_passes(
-        self, keys: Sequence[DataKey], inputs: Sequence[Any], params: list[Any]
-    ) -> tuple[list[Any], Record] | None:
-        """The same with given parameters."""
-        context, images = self._context(None, None), inputs[keys.index(DataKey.INPUT)]
-        children = self._children_of_call(params, context)
-        self._check_batch_of(children, len(images))
-        record: Callable[..., Record] = partial(replayed_record, children, context)
-        y = replay_list(images, children, context)
-        if y is None:
-            y, record = replay_chain(self, images, params, context), self._record_of_part
-        if y is None:
-            return None
-        parts = Parts.of_params(context.op, params, [tuple(x.shape) for x in images], images, record)
+        if parts is None:
+            parts = Parts.of_params(context.op, params, [tuple(x.shape) for x in images], images, record)
         return self._with_labels_of_list(keys, inputs, self._as_batch(y), parts), Record(parts=parts, items=params)
 
     def _as_batch(self, y: Any) -> Any:

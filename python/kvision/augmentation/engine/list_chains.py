@@ -25,7 +25,7 @@ from kvision.augmentation.engine.list_calls import (
     refuse_list,
     seeds_of_list,
 )
-from kvision.augmentation.engine.list_runs import run_or_replay
+from kvision.augmentation.engine.list_runs import run_list
 from kvision.augmentation.engine.record import Child, ParamItem, Record, SomeParamItem
 from kvision.augmentation.engine.runs import execute, inside_child, runs_of
 from kvision.augmentation.engine.stages import Chain, Nested, Stage
@@ -89,21 +89,18 @@ class ChainParts(PartsOfImages):
 
 
 def run_chain(
-    module: Any, images: list[Tensor], context: CallContext, generator: Generator | None
-) -> tuple[Any, ChainParts] | None:
-    """The results of a container on a list, a list or a batch, and its parts; None where others call it."""
+    module: Any, images: list[Tensor], params: Any, context: CallContext, generator: Generator | None
+) -> tuple[Any, ChainParts | None] | None:
+    """The results of a container on a list, a list or a batch, and its parts, None of a replay; None where others call it."""
     if not _runs(module, images, context):
         return None
+    if params is not None:
+        return _run_container(module, images, params, context)[0], None
     modules = list(module.modules())
     refuse_list(context.op, modules)
     seeds = seeds_of_list(context.op, modules, len(images), context.seed, generator or module.generator)
     y, steps = _run_container(module, images, None, context._replace(seed=seeds, generator=None))
     return y, ChainParts(context.op, images, y, steps)
-
-
-def replay_chain(module: Any, images: list[Tensor], params: Any, context: CallContext) -> Any:
-    """The results of a container on a list with given parameters, a list or a batch; None where others call it."""
-    return _run_container(module, images, params, context)[0] if _runs(module, images, context) else None
 
 
 def _runs(module: Any, images: Sequence[Tensor], context: CallContext) -> bool:
@@ -191,7 +188,7 @@ def _run_children(
     y: Any = images
     for run, is_joined in runs_of(children, context.plans):
         images = y if isinstance(y, list) else list(y)
-        done = run_or_replay(images, run, context._replace(position=position)) if is_joined else None
+        done = run_list(images, run, context._replace(position=position)) if is_joined else None
         module: Any = run[0].module
         if done is not None:
             y, parts = done
@@ -246,6 +243,3 @@ def _run_each(
 
 def _rows(seed: Seed, samples: Sequence[int], count: int) -> Seed:
     return read_rows(seed, samples) if isinstance(seed, Tensor) and len(samples) < count else seed
-
-
-__all__ = ["ChainParts", "replay_chain", "run_chain"]

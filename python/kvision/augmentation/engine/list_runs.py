@@ -25,7 +25,7 @@ from kvision.augmentation.engine.call_context import CallContext
 from kvision.augmentation.engine.execution import Execution, ListExecution, Shape, matrix_type
 from kvision.augmentation.engine.list_calls import Parts, params_of_rows, refuse_list, seeds_of_list
 from kvision.augmentation.engine.list_plans import ListPlan, ReplayPlan, kept_plan, kept_replay, takes_given
-from kvision.augmentation.engine.passes import Alone, Joined, Running, Step, plan_steps
+from kvision.augmentation.engine.passes import Alone, Joined, Running, plan_steps
 from kvision.augmentation.engine.record import Child, Record
 from kvision.augmentation.engine.runs import (
     decides,
@@ -78,14 +78,11 @@ class ListRun(ImagesOfList):
         if modules[0].needs_masks:
             self.found = modules[0]._find_in_list(images, executions[0], self.context)
         if plan.begins_with_batch:
-            executions[0] = ListExecution(self.parts(0), executions[0].columns)
+            parts = ListParts(self.context.op, [(range(count), self)], 0)
+            executions[0] = ListExecution(parts, executions[0].columns)
         running = Running(modules, executions, columns, self.context.has_labels, result, of_list=self)
         y, stages = run_steps(images, run.steps, running)
         return y if run.steps else list(images), stages, executions
-
-    def parts(self, child: int | None = None) -> ListParts:
-        """The parts of a call with all images in this run, or those of one child."""
-        return ListParts(self.context.op, [(range(self.shape[0]), self)], child)
 
     def _sizes_before(self, images: Sequence[Tensor], number: int) -> Tensor:
         """Height and width (B, 2) of images before an augmentation."""
@@ -212,18 +209,18 @@ class ListParts(Parts):
 def execute_list(images: list[Tensor], children: Sequence[Child], context: CallContext) -> tuple[Tensor, list[Stage]]:
     """Run children on a list of images that the first one makes a batch; gives that and what labels have to follow."""
     count, position, first = len(children), context.position, images[0]
-    run = runs_of(children, context.plans)[0][0]
+    run, drawing = runs_of(children, context.plans)[0][0], 0
+    begin: ListRun | ListReplay
     if run[0].params is not None:
-        own = context if count == 1 else context._replace(output=SAME)
-        (x, stages), ran, drawing = _replay_batch(images, run[0], own), 1, 0
+        ran, begin = 1, _replay_batch(images, run[0], context if count == 1 else context._replace(output=SAME))
     else:
         modules = [id(child.module) for child in children]
         key = ("list", first.shape[0], first.dtype, position, context.seed is None, context.output, *modules)
         ran, plan = context.plans.made(key, lambda: _plan_of_first(images, run, context, count))
         own = context if ran == count else context._replace(output=SAME)
-        x, stages, executions = ListRun(images, run[:ran], own, plan).run(images)
-        keep_executions(run, executions)
-        drawing = len(plan.run.drawing)
+        begin, drawing = ListRun(images, run[:ran], own, plan), len(plan.run.drawing)
+    x, stages, executions = begin.run(images)
+    keep_executions(run, executions)
     for end, at in ((len(run), position + drawing), (count, position + len(run))):
         if ran < end:
             own = context if end == count else context._replace(output=SAME)
@@ -247,66 +244,94 @@ def _plan_of_first(
     raise AssertionError("expected an augmentation that makes a list a batch")
 
 
-def run_list(images: list[Tensor], children: Sequence[Child], context: CallContext) -> tuple[Any, ListParts] | None:
-    """The results of a run, a list or a batch, and its parts; None where the run is not made of passes over lists."""
-    if context.seed_of_samples is not context.seed:
-        return None
-    runs = runs_of(children, context.plans)
+def run_list(
+    images: list[Tensor], children: Sequence[Child], context: CallContext
+) -> tuple[Any, ListParts | None] | None:
+    """The results of a run, a list or a batch, and its parts, None of a replay; None where others run or replay it."""
+    joined, count = _is_joined(images, children, context), len(images)
     modules: list[Any] = [child.module for child in children]
-    if len(runs) != 1 or children[0].params is not None:
+    if joined is None:
         return None
-    if not runs[0][1]:
-        first = modules[0]
-        if not getattr(first, "needs_masks", False) or first.mixes_samples or not first._takes_masks(images, context):
-            return None
-        if context.plans is not first._plans and context.seed is not None:  # that of a child which runs by itself
+    seeds, first = None, modules[0]
+    if children[0].params is not None:
+        groups = _given_groups(children, count)
+    elif context.is_certain or not any(decides(m) or not m.has_known_size for m in modules):
+        groups = [(range(count), [may_apply(m, context.is_certain) for m in modules])]
+        if not joined and context.plans is not first._plans and context.seed is not None:  # a child that runs by itself
             context = context._replace(seed=context.seed + ((context.position + 1) << 32), position=0)
-    warps: Sequence[Stage] = ()
-    if context.is_certain or not any(decides(m) or not m.has_known_size for m in modules):
-        plan = kept_plan(images, modules, [may_apply(m, context.is_certain) for m in modules], context)
-        if plan is None:
-            return None
-        run = ListRun(images, children, context, plan)
-        y, warps, _ = run.run(images)
-        parts = run.parts()
+    elif is_compiling() or have_one_size(images):  # a batch, which is decided for as one
+        return None
     else:
-        decided = _run_decided(images, children, context)
-        if decided is None:
+        refuse_list(context.op, modules)
+        seeds = seeds_of_list(context.op, modules, count, context.seed, context.generator_of(first))
+        groups = _decided_groups(modules, seeds, context)
+    runs: list[tuple[Sequence[int], Any]] = []
+    for samples, applied in groups:
+        some, own, of_some = images, children, context
+        if len(groups) > 1:
+            some = some_of(images, samples)
+            own = [replace(child, params=params_of_rows(child.params, samples, count)) for child in children]
+        if seeds is not None:
+            labels = None if context.labels is None else context.labels.some(samples)
+            of_some = context._replace(seed=read_rows(seeds, samples), generator=None, labels=labels)
+        run = _prepared(some, own, applied, of_some)
+        if run is None:
             return None
-        y, parts = decided
+        runs.append((samples, run))
+    if len(runs) == 1 and seeds is None:
+        y, stages, _ = runs[0][1].run(images)
+    else:  # a list, as all images may have been in one group by chance
+        y, stages = list(images), []
+        for samples, run in runs:
+            for i, result in zip(samples, run.run(some_of(images, samples))[0]):
+                y[i] = result
+    if children[0].params is not None:
+        return y, None
+    parts = ListParts(context.op, runs)
     executions = [ListExecution(parts.of_child(i)) for i in range(len(modules))]
-    if len(modules) == 1 and warps and isinstance(warps[0], Warp):
-        executions[0].matrix = warps[0].matrix
+    if len(modules) == 1 and stages and isinstance(stages[0], Warp):
+        executions[0].matrix = stages[0].matrix
     keep_executions(children, executions)
     return y, parts
 
 
-def _run_decided(
-    images: list[Tensor], children: Sequence[Child], context: CallContext
-) -> tuple[list[Any], ListParts] | None:
-    """The results of a run whose augmentations are applied to some images, and its parts: a run for each choice of them."""
-    if is_compiling() or have_one_size(images):  # a batch, which is decided for as one
+def _is_joined(images: Sequence[Tensor], children: Sequence[Child], context: CallContext) -> bool | None:
+    """Whether children draw together in one run of a call; False for one by itself; None where the call is not such a run."""
+    runs = runs_of(children, context.plans)
+    if len(runs) != 1 or context.seed_of_samples is not context.seed:
         return None
-    modules: list[Any] = [child.module for child in children]
-    refuse_list(context.op, modules)
-    seeds = seeds_of_list(context.op, modules, len(images), context.seed, context.generator_of(modules[0]))
-    runs: list[_Samples] = []
-    for samples, applied in _decided(modules, seeds, context):
-        labels = None if context.labels is None else context.labels.some(samples)
-        own = context._replace(seed=read_rows(seeds, samples), generator=None, labels=labels)
-        some, plan = some_of(images, samples), kept_plan(images, modules, applied, own)
-        if plan is None:
-            return None
-        runs.append((samples, ListRun(some, children, own, plan)))
-    results: list[Any] = list(images)
-    for samples, run in runs:
-        y, _, _ = run.run(some_of(images, samples))
-        for i, result in zip(samples, y):
-            results[i] = result
-    return results, ListParts(context.op, runs)
+    module: Any = children[0].module
+    joined = runs[0][1]
+    if children[0].params is None:
+        takes_masks = getattr(module, "needs_masks", False) and not module.mixes_samples
+        return joined or (False if takes_masks and module._takes_masks(images, context) else None)
+    if not joined or is_compiling() or any(child.samples is not None for child in children):
+        return None
+    on_gpu = any(isinstance(x, Tensor) and x.is_cuda for child in children for x in child.params.values())
+    return None if on_gpu else True
 
 
-def _decided(modules: Sequence[Any], seeds: Tensor, context: CallContext) -> list[tuple[Sequence[int], Sequence[bool]]]:
+def _prepared(
+    images: list[Tensor], children: Sequence[Child], applied: Sequence[bool], context: CallContext
+) -> ListRun | ListReplay | None:
+    """What runs children on images for which the same ones are applied; None where others do."""
+    if children[0].params is None:
+        plan = kept_plan(images, [child.module for child in children], applied, context)
+        return None if plan is None else ListRun(images, children, context, plan)
+    given = kept_replay(images, children, applied, context)
+    if given is None:
+        return None
+    replay = ListReplay(images, children, context, given)
+    executions = replay.running.executions
+    if given.has_sized_identity and any(execution.chosen is not None for execution in executions):
+        return None
+    takes = all(takes_given(step, replay.running.modules, images[0].dtype) for step in replay.steps)
+    return replay if takes else None
+
+
+def _decided_groups(
+    modules: Sequence[Any], seeds: Tensor, context: CallContext
+) -> list[tuple[Sequence[int], Sequence[bool]]]:
     """The numbers of images for which the same augmentations are applied, and which these are, as `plan_run` decides by seeds."""
     number, columns = 0, list[list[bool]]()
     for module in modules:
@@ -318,77 +343,51 @@ def _decided(modules: Sequence[Any], seeds: Tensor, context: CallContext) -> lis
     return _grouped(columns)
 
 
+def _given_groups(children: Sequence[Child], count: int) -> list[tuple[Sequence[int], Sequence[bool]]]:
+    """The same of given parameters, for augmentations that are applied to a batch or not."""
+    columns: list[list[bool]] = []
+    for child in children:
+        module: Any = child.module
+        chosen: Any = child.params.get("batch_prob") if module.whole_batch else None
+        is_of_each = isinstance(chosen, Tensor) and len(chosen) == count
+        columns.append((chosen > 0.5).tolist() if is_of_each else [True] * count)
+    return _grouped(columns)
+
+
 def _grouped(columns: Sequence[Sequence[bool]]) -> list[tuple[Sequence[int], Sequence[bool]]]:
-    """The numbers of images for which the same augmentations are applied, and which these are, of a column for each."""
     return [(samples, applied) for applied, samples in numbers_by(zip(*columns)).items()]
 
 
 # --- with given parameters ------------------------------------------------------------------------------------------
 
 
-def run_or_replay(
-    images: list[Tensor], children: Sequence[Child], context: CallContext
-) -> tuple[Any, ListParts | None] | None:
-    """The results of a run and its parts, None of a replay; None where others run or replay it."""
-    if children[0].params is None:
-        return run_list(images, children, context)
-    y = replay_list(images, children, context)
-    return None if y is None else (y, None)
+class ListReplay:
+    """A run on a list with given parameters."""
+
+    def __init__(self, images: list[Tensor], children: Sequence[Child], context: CallContext, plan: ReplayPlan) -> None:
+        modules: list[Any] = [child.module for child in children]
+        like = like_batch(images)
+        chains: Mapping[int, Sequence[Transform]] = {}
+        shape = (len(images), images[0].shape[0], *SIZES[0])
+        executions, columns = replayed(like.new_empty(1).expand(shape), children)
+        if plan.numbers is not None:
+            own = on_device(plan.numbers.of_each(images).to(compute_dtype(like)), like.device)
+            width = 0 if columns is None else columns.shape[1]
+            columns = own if columns is None else torch.cat([columns.to(own), own], 1)
+            spans = [None if execution.columns is None else execution.columns.span for execution in executions]
+            chains = plan.sized.bound(modules, spans, width)
+        self.steps = plan_steps(modules, executions, context.once, images[0].dtype, context.output, chains)
+        of_list = ImagesOfList(plan.sized, sides_of(images))
+        self.running = Running(modules, executions, columns, False, of_list=of_list)
+
+    def run(self, images: list[Tensor]) -> tuple[Any, list[Stage], Sequence[Execution]]:
+        """As that of :class:`ListRun`."""
+        y, stages = run_steps(images, self.steps, self.running)
+        return y if self.steps else list(images), stages, self.running.executions
 
 
-def replayed_record(
-    children: Sequence[Child], context: CallContext, like: Tensor, shape: Shape, params: Sequence[Any]
-) -> Record:
-    """The record of a run on images of a shape with the parameters of its children, without running it."""
-    own = [replace(child, params=item.data) for child, item in zip(children, params)]
-    executions, columns = replayed(like.expand(shape), own)
-    of_run = [replace(child, record=execution) for child, execution in zip(own, executions)]
-    return record_of_run(shape, of_run, columns, like, context)
-
-
-def replay_list(images: list[Tensor], children: Sequence[Child], context: CallContext) -> Any:
-    """The results of a run with the parameters of its children, a list or a batch; None where others replay it."""
-    runs = runs_of(children, context.plans)
-    if is_compiling() or len(runs) != 1 or not runs[0][1] or any(child.samples is not None for child in children):
-        return None
-    if any(isinstance(x, Tensor) and x.is_cuda for child in children for x in child.params.values()):
-        return None
-    groups = _groups(children, len(images))
-    if len(groups) > 1:
-        return _replay_groups(images, children, context, groups)
-    ((_, applied),) = groups
-    plan = kept_replay(images, children, applied, context)
-    replay = None if plan is None else _replayed(images, children, context, plan)
-    if plan is None or replay is None:
-        return None
-    steps, running = replay
-    if plan.has_sized_identity and any(execution.chosen is not None for execution in running.executions):
-        return None
-    if not all(takes_given(step, running.modules, images[0].dtype) for step in steps):
-        return None
-    return run_steps(images, steps, running)[0] if steps else list(images)
-
-
-def _replayed(
-    images: list[Tensor], children: Sequence[Child], context: CallContext, plan: ReplayPlan
-) -> tuple[list[Step], Running]:
-    """What executes children with their parameters."""
-    modules: list[Any] = [child.module for child in children]
-    like = like_batch(images)
-    chains: Mapping[int, Sequence[Transform]] = {}
-    executions, columns = replayed(like.new_empty(1).expand(len(images), images[0].shape[0], *SIZES[0]), children)
-    if plan.numbers is not None:
-        own = on_device(plan.numbers.of_each(images).to(compute_dtype(like)), like.device)
-        width = 0 if columns is None else columns.shape[1]
-        columns = own if columns is None else torch.cat([columns.to(own), own], 1)
-        spans = [None if execution.columns is None else execution.columns.span for execution in executions]
-        chains = plan.sized.bound(modules, spans, width)
-    steps = plan_steps(modules, executions, context.once, images[0].dtype, context.output, chains)
-    return steps, Running(modules, executions, columns, False, of_list=ImagesOfList(plan.sized, sides_of(images)))
-
-
-def _replay_batch(images: list[Tensor], child: Child, context: CallContext) -> tuple[Tensor, list[Stage]]:
-    """The batch that an augmentation makes of a list with its parameters, and what labels have to follow."""
+def _replay_batch(images: list[Tensor], child: Child, context: CallContext) -> ListReplay:
+    """What makes a list a batch by an augmentation with its parameters, wherever these are."""
     module: Any = child.module
     given = {name: value for name, value in child.params.items() if name != "batch_prob"}  # 1 of all that makes batches
     channels = images[0].shape[0]
@@ -399,34 +398,17 @@ def _replay_batch(images: list[Tensor], child: Child, context: CallContext) -> t
         return ReplayPlan(sized, sized.numbers(has_draws=False))
 
     planned = module._plans.made(("replay of a list", channels), plan)
-    steps, running = _replayed(images, [replace(child, params=given)], context, planned)
+    replay = ListReplay(images, [replace(child, params=given)], context, planned)
     parts = Parts.of_params(context.op, child.params, [x.shape for x in images], images, module._execution_of_part)
-    running.executions = [ListExecution(parts, running.executions[0].columns, is_certain=True)]
-    keep_executions([child], running.executions)
-    return run_steps(images, steps, running)
+    replay.running.executions = [ListExecution(parts, replay.running.executions[0].columns)]
+    return replay
 
 
-def _groups(children: Sequence[Child], count: int) -> list[tuple[Sequence[int], Sequence[bool]]]:
-    """The images for which the same augmentations are applied, of those that are applied to a batch or not."""
-    columns: list[list[bool]] = []
-    for child in children:
-        module: Any = child.module
-        chosen: Any = child.params.get("batch_prob") if module.whole_batch else None
-        is_of_each = isinstance(chosen, Tensor) and len(chosen) == count
-        columns.append((chosen > 0.5).tolist() if is_of_each else [True] * count)
-    return _grouped(columns)
-
-
-def _replay_groups(
-    images: list[Tensor], children: Sequence[Child], context: CallContext, groups: Sequence[Any]
-) -> list[Tensor] | None:
-    """The results of a run whose augmentations are applied to some of the images."""
-    results = list(images)
-    for samples, _ in groups:
-        own = [replace(child, params=params_of_rows(child.params, samples, len(images))) for child in children]
-        y = replay_list([images[i] for i in samples], own, context)
-        if y is None:
-            return None
-        for i, result in zip(samples, y):
-            results[i] = result
-    return results
+def replayed_record(
+    children: Sequence[Child], context: CallContext, like: Tensor, shape: Shape, params: Sequence[Any]
+) -> Record:
+    """The record of a run on images of a shape with the parameters of its children, without running it."""
+    own = [replace(child, params=item.data) for child, item in zip(children, params)]
+    executions, columns = replayed(like.expand(shape), own)
+    of_run = [replace(child, record=execution) for child, execution in zip(own, executions)]
+    return record_of_run(shape, of_run, columns, like, context)

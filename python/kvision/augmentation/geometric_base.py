@@ -19,9 +19,9 @@ from kvision.augmentation.engine import (
     RigidAffineAugmentationBase2D,
     Shape,
 )
-from kvision.augmentation.maps import exact, warp, warp_covered, warp_covered_each, warp_each, warp_labels
+from kvision.augmentation.maps import exact, warp, warp_covered, warp_covered_each, warp_labels
 from kvision.augmentation.transforms import Transform, transform_matrix
-from kvision.augmentation.warp_and_color import Resampling, fill_of_images
+from kvision.augmentation.warp_and_color import Resampling
 from kvision.constants import Resample, SamplePadding
 from kvision.core.exceptions import ValueCheckError
 from kvision.geometry.linalg import transform_points
@@ -151,12 +151,6 @@ class GeometricAugmentationBase2D(GeometricAugmentation, RigidAffineAugmentation
         execution.keep_matrix(matrix)
         return y
 
-    def _warp_list(self, images: list[Tensor], matrix: Tensor, size: Sequence[int], flags: dict[str, Any]) -> Tensor:
-        """The batch that a list of images becomes."""
-        resampling = self.resampling(flags)
-        fill = fill_of_images(images[0], resampling.fill)
-        return warp_each(images, matrix, size, resampling._replace(fill=fill))[0]
-
     def _warp(self, x: Tensor, matrix: Tensor, flags: dict[str, Any]) -> Tensor:
         return warp(x, matrix, self.output_size(tuple(x.shape), flags), self.resampling(flags))
 
@@ -253,11 +247,6 @@ class AntialiasedByMatrix(GeometricAugmentationBase2D):
         if not flags.get("antialias"):
             return super()._warp(x, matrix, flags)
         return warp_covered(x, matrix, self.output_size(tuple(x.shape), flags), self.resampling(flags))
-
-    def _warp_list(self, images: list[Tensor], matrix: Tensor, size: Sequence[int], flags: dict[str, Any]) -> Tensor:
-        if not flags.get("antialias"):
-            return super()._warp_list(images, matrix, size, flags)
-        return warp_covered_each(images, matrix, size, self.resampling(flags))[0]
 
     def _operates_on(self, dtype: torch.dtype) -> bool:
         return bool(self.flags.get("antialias")) and not self._is_customized()

@@ -115,11 +115,6 @@ class Resize(GeometricAugmentationBase2D):
         y = geometry.resize(frames, size, mode, align_corners=flags["align_corners"], antialias=flags["antialias"])
         return y[None] if frames.is_single else y
 
-    def _warp_list(self, images: list[Tensor], matrix: Tensor, size: Sequence[int], flags: dict[str, Any]) -> Tensor:
-        if not flags["antialias"]:
-            return super()._warp_list(images, matrix, size, flags)
-        return _antialiased_list(images, size, False, flags)
-
     def _operates_on(self, dtype: torch.dtype) -> bool:
         return bool(self.flags["antialias"]) and not self._is_customized()
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from torch import Generator, Tensor
@@ -35,23 +35,13 @@ from kvision.augmentation.sample_rows import read_rows
 from kvision.augmentation.warp_and_color import SAME
 
 Done = tuple[Sequence[Child], Sequence[Stage]]  # the children that an image got, and what labels have to follow
-
-
-class _Step(NamedTuple):
-    """What was done to some images, by their numbers among those of the container."""
-
-    samples: Sequence[int]
-    done: Any  # of image i among these: a Done
-
-    def of(self, sample: int) -> Done:
-        own: Done = self.done(self.samples.index(sample))
-        return own
+Steps = list[tuple[Sequence[int], Any]]  # the numbers of images, and the Done of image i among these by a function
 
 
 class ChainParts(PartsOfImages):
     """A call of a container on a list."""
 
-    def __init__(self, op: str, images: Sequence[Tensor], results: Sequence[Tensor], steps: Sequence[_Step]) -> None:
+    def __init__(self, op: str, images: Sequence[Tensor], results: Sequence[Tensor], steps: Steps) -> None:
         super().__init__(op, images)
         self._steps = steps
         self._sizes = [tuple(y.shape[-2:]) for y in results]
@@ -60,10 +50,10 @@ class ChainParts(PartsOfImages):
     def params(self, read: Callable[[Any], Any]) -> list[Any]:
         """The parameters of children, as those of a batch: of each turn those of the images that it has."""
         items: list[Any] = []
-        for step in self._steps:
+        for images, done in self._steps:
             of_child: dict[str, list[tuple[int, Child]]] = {}
-            for i, sample in enumerate(step.samples):
-                for child in step.done(i)[0]:
+            for i, sample in enumerate(images):
+                for child in done(i)[0]:
                     of_child.setdefault(child.name, []).append((sample, child))
             for name, own in of_child.items():
                 data = joined(
@@ -78,11 +68,11 @@ class ChainParts(PartsOfImages):
     def _record(self, sample: int) -> Record:
         children: list[Child] = []
         stages: list[Stage] = []
-        for step in self._steps:
-            if sample in step.samples:
-                own, done = step.of(sample)
+        for images, done in self._steps:
+            if sample in images:
+                own, more = done(images.index(sample))
                 children += own
-                stages += done
+                stages += more
         record = Record(self._shapes[sample], children, Chain(stages))
         record.size, record.identity = self._sizes[sample], self._identity
         return record
@@ -137,20 +127,20 @@ def _takes_whole_lists(module: Any, context: CallContext) -> bool:
 # --- execution ------------------------------------------------------------------------------------------------------
 
 
-def _run_container(module: Any, images: list[Tensor], params: Any, context: CallContext) -> tuple[Any, list[_Step]]:
+def _run_container(module: Any, images: list[Tensor], params: Any, context: CallContext) -> tuple[Any, Steps]:
     """The children of a container on images, whose seeds the context has, or with given parameters."""
     in_turns = module._in_turns(images, params, context)
     if in_turns is None:
         return _run_children(images, module._children_of_call(params, context), context, context.position)
     turns, own = in_turns
-    results, steps = list(images), list[_Step]()
+    results, steps = list(images), Steps()
     for turn in turns:
         if turn.samples:
             steps += _run_turn(results, turn, own)
     return results, steps
 
 
-def _run_turn(results: list[Tensor], turn: Turn, context: CallContext) -> list[_Step]:
+def _run_turn(results: list[Tensor], turn: Turn, context: CallContext) -> Steps:
     """Run the children of a turn on its images among `results`, whose places the new ones take."""
     samples, owners = list(turn.samples), [-1] * len(turn.samples)
     own = context._replace(seed=_rows(context.seed, samples, len(results)))
@@ -163,28 +153,26 @@ def _run_turn(results: list[Tensor], turn: Turn, context: CallContext) -> list[_
     y, steps = _run_children([results[i] for i in samples], children, own, turn.position)
     for i, result in zip(samples, y):
         results[i] = result
-    return [_Step([samples[i] for i in step.samples], _Chosen(step.done, owners)) for step in steps]
+    return [([samples[i] for i in images], _of_turn(done, owners)) for images, done in steps]
 
 
-class _Chosen(NamedTuple):
-    """What images of a turn got, of which each has a child, or all have."""
+def _of_turn(done: Any, owners: Sequence[int]) -> Callable[[int], Done]:
+    """What images of a turn got, of which each has the child that `owners` says, or all where that is -1."""
 
-    done: Any
-    owners: Sequence[int]
-
-    def __call__(self, i: int) -> Done:
-        children, stages = self.done(i)
-        owner = self.owners[i]
+    def of_image(i: int) -> Done:
+        (children, stages), owner = done(i), owners[i]
         if owner < 0:
             return [replace(child, samples=[0], batch=1) for child in children], stages
         return [replace(children[owner], samples=[0], batch=1, rows=[0])], stages
 
+    return of_image
+
 
 def _run_children(
     images: list[Tensor], children: Sequence[Child], context: CallContext, position: int
-) -> tuple[Any, list[_Step]]:
+) -> tuple[Any, Steps]:
     """Children one after the other, each run and each container inside by itself. A replay need not say what was done."""
-    everything, steps = range(len(images)), list[_Step]()
+    everything, steps = range(len(images)), Steps()
     y: Any = images
     for run, is_joined in runs_of(children, context.plans):
         images = y if isinstance(y, list) else list(y)
@@ -192,7 +180,7 @@ def _run_children(
         module: Any = run[0].module
         if done is not None:
             y, parts = done
-            steps.append(_Step(everything, None if parts is None else parts.done))
+            steps.append((everything, None if parts is None else parts.done))
         elif not is_joined and (_is_plain(module) or _takes_whole_lists(module, context)):
             inside, params = module._inside(inside_child(context, position)), run[0].params
             parts_inside: Parts
@@ -203,24 +191,23 @@ def _run_children(
                 y, parts_inside = module._execute_list(images, params, inside)
             if params is None:
                 module._keep(Record(parts=parts_inside))
-            steps.append(_Step(everything, _Inside(run[0], parts_inside)))
+            steps.append((everything, _of_inside(run[0], parts_inside)))
         else:
             y, each = _run_each(images, run, context, position)
-            steps.append(_Step(everything, each.__getitem__))
+            steps.append((everything, each.__getitem__))
         position += len(run)
     return y, steps
 
 
-class _Inside(NamedTuple):
+def _of_inside(child: Child, parts: Parts) -> Callable[[int], Done]:
     """What a container that is a child did to images."""
+    module: Any = child.module
 
-    child: Child
-    parts: Parts
+    def of_image(i: int) -> Done:
+        record = parts.calls[i]
+        return [replace(child, record=record)], [Nested(record.stages.stages, module._label_settings)]
 
-    def __call__(self, i: int) -> Done:
-        module: Any = self.child.module
-        record = self.parts.calls[i]
-        return [replace(self.child, record=record)], [Nested(record.stages.stages, module._label_settings)]
+    return of_image
 
 
 def _run_each(

@@ -24,6 +24,7 @@ from torchvision.transforms import v2
 
 from benchmarks import machine
 from benchmarks.case import photographs
+from benchmarks.timing import launches
 from kvision import tv
 
 MEAN, STD = [0.485, 0.456, 0.406], [0.229, 0.224, 0.225]
@@ -120,7 +121,7 @@ def print_batches(batch: Tensor, rounds: int, calls: int) -> None:
     device = batch.device
     print(f"# {machine.hardware(device)}, torch {torch.__version__}, torchvision {torchvision.__version__}")
     print(f"# uint8 {'x'.join(map(str, batch.shape))}, ms, wall times; v2 on a batch draws once a call")
-    print("transform,kvision.tv,v2 image by image,v2 on the batch,image by image / kvision.tv,bar")
+    print("transform,kvision.tv,launches,v2 image by image,v2 on the batch,image by image / kvision.tv,bar")
     theirs, ours = transforms(v2, 232), transforms(tv, 232)
     for name in ours:
         v2_transform, transform = theirs[name], ours[name]
@@ -137,7 +138,8 @@ def print_batches(batch: Tensor, rounds: int, calls: int) -> None:
                 own.extend(times if i else ())
         ms = [statistics.median(own) * 1e3 for own in seconds]
         cell = f'"{name}"' if "," in name else name
-        print(f"{cell},{ms[0]:.3f},{ms[1]:.1f},{ms[2]:.3f},{ms[1] / ms[0]:.1f},{BAR:.0f}", flush=True)
+        count = launches(contestants[0][1]) if device.type == "cuda" else ""
+        print(f"{cell},{ms[0]:.3f},{count},{ms[1]:.1f},{ms[2]:.3f},{ms[1] / ms[0]:.1f},{BAR:.0f}", flush=True)
 
 
 def as_tensor(x: Any) -> Tensor:

@@ -14,6 +14,7 @@ from kvision._dtype import compute_dtype
 from kvision.augmentation.columns import Column
 from kvision.augmentation.engine import Execution, Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
+from kvision.augmentation.lists.shuffle_channels import shuffle_channels_list
 from kvision.augmentation.random_generator.color import (
     ChannelDropoutGenerator,
     ChannelShuffleGenerator,
@@ -31,16 +32,18 @@ Illuminants: TypeAlias = Literal["blackbody", "CIED"]
 
 
 class _Channels(IntensityAugmentationBase2D, keeps_contract=True):
-    """Base of changes of channels: of three channels in a list by one color program, of others image by image."""
+    """Base of changes of channels."""
 
     replays_lists = True
 
-    def _program(self, like: Tensor, params: Params, chosen: Tensor | None) -> tuple[Pass, Tensor]:
-        """The program of images like a batch, and its columns."""
-        raise NotImplementedError(f"{type(self).__name__}._program")
-
     def _operates_on(self, dtype: torch.dtype) -> bool:
         return not self._is_customized()
+
+
+class _ScaledChannels(_Channels, keeps_contract=True):
+    """Base of what scales each channel of an image and adds to it: three by a color program, others in a list image by image."""
+
+    clips: ClassVar[bool]  # the results to [0, 1]
 
     def _run_list(self, images: Sequence[Tensor], execution: Execution) -> list[Tensor]:
         like, chosen = like_batch(images), execution.chosen
@@ -52,12 +55,6 @@ class _Channels(IntensityAugmentationBase2D, keeps_contract=True):
         program, columns = self._program(like, params, chosen)
         columns_of_all, fill, _, *rest = program.arguments(like, columns)
         return list(warp_and_color_to_list(images, columns_of_all, fill, False, [], *rest)[: len(images)])
-
-
-class _ScaledChannels(_Channels, keeps_contract=True):
-    """Base of what scales each channel of an image and adds to it."""
-
-    clips: ClassVar[bool]  # the results to [0, 1]
 
     def _factors_and_offsets(self, like: Tensor, params: Params) -> tuple[Tensor, Tensor]:
         """Numbers (B, C) of the channels of images like a batch."""
@@ -119,22 +116,12 @@ class RandomChannelShuffle(_Channels, keeps_contract=True):
         planes = input.flatten(0, 1).index_select(0, _planes(input, params["channels"]))
         return planes.view(input.shape)
 
-    def _program(self, like: Tensor, params: Params, chosen: Tensor | None) -> tuple[Pass, Tensor]:
-        """Exchanges of two of three channels, of which a sample has those that make its order, up to two.
-
-        A value that is no finite number becomes NaN in all channels.
-        """
-        orders = ((1, 0, 2), (0, 2, 1), (2, 1, 0))
-        steps = [ColorStep("affine", *[float(i == k) for k in order for i in range(3)]) for order in orders]
-        first, second, third = params["channels"].unbind(1)
-        number = 2 * first + (second > third)  # among all orders
-        number = number if chosen is None else torch.where(chosen, number, 0)
-        columns = constant(_EXCHANGES, like, compute_dtype(like))[number]
-        return make_pass(None, parts=[ColorPart(steps, range(len(steps)))]), columns
-
-
-# Of each order of three channels, from the first one on, the exchanges (0 and 1, 1 and 2, 0 and 2) that make it.
-_EXCHANGES = ((-1, -1, -1), (1, -1, -1), (0, -1, -1), (0, 1, -1), (1, 0, -1), (2, -1, -1))
+    def _run_list(self, images: Sequence[Tensor], execution: Execution) -> list[Tensor]:
+        like, chosen = like_batch(images), execution.chosen
+        orders = self._params_on_device(like, execution, for_users=False)["channels"]
+        if chosen is not None:
+            orders = torch.where(chosen[:, None], orders, torch.arange(like.shape[1], device=like.device))
+        return list(shuffle_channels_list(images, orders))
 
 
 class RandomChannelDropout(_ScaledChannels, keeps_contract=True):

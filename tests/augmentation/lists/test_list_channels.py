@@ -46,3 +46,12 @@ def test_gradients_of_channels(device):
         for b, x in enumerate(images):
             alone = (b + 1) * augment(x[None], seed=seeds[b : b + 1]).sum()
             assert torch.allclose(gradients[b], torch.autograd.grad(alone, x)[0])
+
+
+@pytest.mark.parametrize("channels", [3, 4])
+def test_a_shuffle_copies_what_is_no_finite_number(channels, device):
+    images = [torch.rand(channels, 5, 6 + i % 2, device=device) for i in range(8)]
+    for i, x in enumerate(images):
+        x[i % channels, 1, 2], x[0, 0, 0] = torch.nan, torch.inf
+    for x, y in zip(images, A.RandomChannelShuffle(p=0.8)(images, seed=torch.arange(8, device=device))):
+        assert y.isnan().sum() == 1 and torch.equal(y.nan_to_num(7).sort(0).values, x.nan_to_num(7).sort(0).values)

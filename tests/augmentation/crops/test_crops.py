@@ -291,6 +291,17 @@ def test_views_of_a_list_are_those_of_each_image(antialias, dtype, device: torch
         crop(images, seed=seeds[:3])
 
 
+@pytest.mark.tracing
+@pytest.mark.parametrize("antialias", [True, False])
+def test_views_have_graphs(antialias, device):
+    crop = A.MultiCrop(12, (6, 8), local_crops=3, antialias=antialias)
+    batch = torch.rand(2, 3, 40, 50, device=device)
+    for images in (batch, [batch[0], batch[1, :, :31, :45]]):
+        torch._dynamo.reset()
+        compiled = torch.compile(lambda x: crop(x, seed=3), fullgraph=True, backend="aot_eager")
+        assert all(torch.allclose(a, b, atol=1e-6) for a, b in zip(compiled(images), crop(images, seed=3), strict=True))
+
+
 def test_gradients_of_views_of_a_list(device: torch.device) -> None:
     crop, seeds = A.MultiCrop(12, 6, local_crops=2), torch.arange(3, device=device)
     images = [torch.rand(3, 20 + i, 31 - i, device=device, requires_grad=True) for i in range(3)]

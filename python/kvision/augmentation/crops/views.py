@@ -170,7 +170,8 @@ class MultiCrop(nn.Module):
         plans = plan_draws([Request(own.draws(tuple(input.shape))) for own in generators], keys.has_seed)
         if len(plans) == 1 and plans[0].learned is None and self.antialias and resized_views.serves(input):
             return self._views(input, plans[0], keys)
-        sizes, matrices = [own.output_size for own in generators], list[Tensor]()
+        sizes = [own.output_size for own in generators]
+        matrices: list[Tensor] = []  # as graphs take it
         for draws in plans:
             chains = []
             for (h, w), span in zip(sizes[len(matrices) :], draws.spans):
@@ -184,7 +185,8 @@ class MultiCrop(nn.Module):
 
     def _views(self, x: Tensor, draws: DrawPlan, keys: Keys) -> list[Tensor]:
         """One launch for the draws, and one for the views of each size."""
-        columns, views = draws.draw(x, keys), list[Tensor]()
+        columns = draws.draw(x, keys)
+        views: list[Tensor] = []
         for count, generator in zip(self.counts, (self.global_generator, self.local_generator)):
             if count:
                 spans = draws.spans[len(views) : len(views) + count]
@@ -208,7 +210,8 @@ class MultiCrop(nn.Module):
             check_seeds(op, keys, len(images))
         requests = [[Request(own.draws(x.shape)) for own in generators] for x in check_list(op, "input", images)]
         plans, first = plan_draws(requests[0], keys.has_seed), 0
-        windows, views = list[Tensor](), list[Tensor]()
+        windows: list[Tensor] = []
+        views: list[Tensor] = []
         for draws in plans:
             own = range(first, first + len(draws.spans))
             numbers = [n for of_image in requests for i in own for draw in of_image[i].draws for n in draw.numbers]

@@ -14,22 +14,29 @@ One augmentation:
 
     declaration    what a subclass declares and overrides
     contribution   what an augmentation adds to the passes that it shares
-    executor       draws parameters, or takes given ones, and executes the declaration, by one pass where there is one
+    drawing        draws parameters, or takes given ones
+    executor       executes the declaration, by one pass where there is one; list_executor on a list
     augmentation   what users call, and the public bases
     execution      what one call drew and did
 
 Neighbors in a container:
 
-    runs, passes   plan what neighbors draw and execute together, and execute it
+    passes         which neighbors share a pass over the images, and the steps that come out of it
+    run_plans      what a run of neighbors draws together, and its steps; runs execute a plan
     choices        which children run, for the batch or for each sample
     turns          execution where each sample has children of its own; choice_base the containers that draw them
-    list_plans     what a run on a list draws and executes, whatever its sizes; sized what depends on these
-    list_runs      a run on a list by the launches of a batch; list_calls a call on one image by image
-    lists          what labels follow where an augmentation makes a list a batch
     call_context   what the children of a container have in common in one call
     stages, record what a call did to positions of pixels; all that it did
     label_moves    boxes and points behind the stages of a call; label_record those of one call
     *_sequential   the containers that users call
+
+A list of images, for which the same steps are executed:
+
+    sized          what draws, matrices and results take from the size of an image
+    list_plans     plans of runs on a list, whatever its sizes; list_runs execute one, list_records say what it did
+    list_chains    containers whose children are such runs, or are chosen for each image
+    list_calls     calls image by image, where there is no run; parts are the images that were one batch
+    lists          what labels follow where an augmentation makes the list a batch
 
 Operators that plans call (draws, columns, transforms, warp_and_color, drawn_pass, drawn_links, maps) are outside, in the folder
 of their kernels: they know no augmentation. Other packages import this one alone, and none of its modules.
@@ -59,7 +66,7 @@ from kvision.augmentation.engine.execution import (
     replaying,
 )
 from kvision.augmentation.engine.image_sequential import ImageSequential
-from kvision.augmentation.engine.list_calls import PartsOfImages
+from kvision.augmentation.engine.parts import PartsOfImages
 from kvision.augmentation.engine.patch_sequential import PatchSequential
 from kvision.augmentation.engine.record import Child, ParamItem, Record
 from kvision.augmentation.engine.sequential_base import ImageSequentialBase

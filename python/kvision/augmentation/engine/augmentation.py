@@ -3,35 +3,25 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import nullcontext
+from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import torch
 from torch import Generator, Tensor
-from typing_extensions import Self
 
 from kvision._modules import give_own_forward
 from kvision._tv_tensors import wrap
-from kvision.augmentation.engine.call_context import CallContext
-from kvision.augmentation.engine.call_labels import CallLabels
-from kvision.augmentation.engine.execution import Execution, ListExecution, Params, Shape, replaying
-from kvision.augmentation.engine.executor import Executor
-from kvision.augmentation.engine.list_calls import Parts, call_in_parts, shapes_of_images
-from kvision.augmentation.engine.list_runs import run_list
-from kvision.augmentation.engine.record import Child
-from kvision.augmentation.engine.stages import LabelSettings
+from kvision.augmentation.engine.execution import Execution, Params, replaying
+from kvision.augmentation.engine.list_executor import ListExecutor
 from kvision.augmentation.inputs import (
     as_batch,
     check_batch,
     check_matrix,
-    checked_images,
     image_and_matrix,
     in_type_of,
     plain_image,
 )
 from kvision.augmentation.keys import Seed
-from kvision.augmentation.labels import box_edges, masks_as_batch
 from kvision.augmentation.maps import exact
 from kvision.augmentation.samples import (
     at_scale,
@@ -43,13 +33,9 @@ from kvision.augmentation.samples import (
     without_added_axes,
 )
 from kvision.color.frames import Frames
-from kvision.constants import DataKey
-from kvision.geometry.transform.lists.arguments import largest_shape
-
-_KEYS = {"boxes": DataKey.BBOX_XYXY, "masks": DataKey.MASK}  # of labels that draws read
 
 
-class AugmentationBase(Executor, keeps_contract=True):
+class AugmentationBase(ListExecutor, keeps_contract=True):
     """What augmentations of images and of volumes share; see the package."""
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
@@ -66,9 +52,6 @@ class AugmentationBase(Executor, keeps_contract=True):
         """The input as a batch: (H, W) and (C, H, W) become (1, C, H, W); integers of 16 bits become float32."""
         self.validate_tensor(input)
         return as_batch(input, self.axes)
-
-    def _flags_of(self, overrides: Mapping[str, Any]) -> dict[str, Any]:
-        return self._checked_flags({**self.flags, **overrides}) if overrides else self.flags
 
     def forward(
         self,
@@ -121,77 +104,12 @@ class AugmentationBase(Executor, keeps_contract=True):
             y, execution = self._draw_and_run(x, seed, generator, flags, labels)
         else:
             with replaying(type(self).__name__, params):
-                execution = self._execution = self._from_params(params, x)  # before it runs, as in _draw_and_run
-                y = self._run(x, execution, flags)
+                y, execution = self._replay_and_run(x, params, flags)
         if x is not image:
             y = self._restored(y, image)
         if image is not given:
             y = wrap(y, given)
         return with_matrix(y, before, self._matrix(execution).to(y.device) if returns else None)
-
-    def _call_on_list(
-        self, given: list[Tensor], params: Any, seed: Seed, generator: Generator | None, kwargs: dict[str, Any]
-    ) -> tuple[Any, Execution]:
-        """Augment a list of images (C, H, W): in the launches of a batch, and where there are no such image by image."""
-        op, labels = type(self).__name__, None if self.reads_labels is None else kwargs.pop(self.reads_labels, None)
-        flags, plain = self._flags_of(kwargs), plain_image(self, given)
-        images = checked_images(self, plain)
-        keys, inputs = [DataKey.INPUT], [images]
-        child, context = Child(op, self, params), CallContext.of_module(op, seed, generator, self._plans)
-        if labels is not None:
-            keys, inputs = [*keys, _KEYS[self.reads_labels or ""]], [images, labels]
-            context = context._replace(labels=CallLabels(keys, inputs, LabelSettings(), largest_shape(images), True))
-        with nullcontext() if params is None else replaying(op, params):
-            done = run_list(images, [child], context) if flags is self.flags else None
-            if done is not None and params is None:  # and has been kept
-                y, _ = done
-            else:
-                if done is not None:
-                    y, shapes = done[0], [x.shape for x in images]
-                    parts = Parts.of_params(op, params, shapes, images, self._execution_of_part)
-                else:
-                    call = functools.partial(self._call_part, flags)
-                    (y, *_), parts = call_in_parts([self], keys, inputs, params, seed, generator, call)
-                child.record = self._execution = ListExecution(parts)
-        return y if plain is given else wrap(y, given), child.record
-
-    def _call_part(
-        self, flags: dict[str, Any], inputs: Sequence[Any], params: Any, seed: Seed, generator: Generator | None
-    ) -> tuple[list[Tensor], Execution]:
-        """The results of images of one size, and what was done."""
-        x, *labels = inputs
-        if params is not None:
-            execution = self._execution = self._from_params(params, x)
-            return [self._run(x, execution, flags)], execution
-        read = self._labels_of_call({self.reads_labels or "": labels[0]}, x) if labels else None
-        y, execution = self._draw_and_run(x, seed, generator, flags, read)
-        return [y], execution
-
-    def _each_part(self, output: Any, params: Params | None, call: Callable[[Self, Tensor], Any]) -> Any:
-        """What a call makes of the results of a list, as a list; None if the last call, or that of params, was on a batch."""
-        last = self._execution
-        if params is None and last is not None:
-            params = last.params if last.of_list is None else self._read_params(last)
-        shapes = None if params is None else shapes_of_images(params)
-        if shapes is None:
-            return None
-        parts = None if last is None or last.params is not params else last.of_list
-        if not isinstance(parts, Parts):
-            parts = Parts.of_params(type(self).__name__, params, shapes, output, self._execution_of_part)
-        return parts.each_result(self, output, call)
-
-    def _execution_of_part(self, like: Tensor, shape: Shape, params: Any) -> Execution:
-        return self._execution_on(like.expand(shape), params, self.flags)
-
-    def _labels_of_call(self, kwargs: dict[str, Any], x: Tensor) -> Any:
-        """What a draw reads of the labels among the arguments of a call, which are taken out of them."""
-        assert self.reads_labels is not None
-        labels = kwargs.pop(self.reads_labels, None)
-        if labels is None:
-            return None
-        if self.reads_labels == "masks":
-            return [masks_as_batch(labels, tuple(x.shape))]
-        return box_edges(labels, "xyxy", x.shape[0]).to(x.device)
 
     # --- what was drawn ---
 
@@ -326,10 +244,6 @@ class AugmentationBase(Executor, keeps_contract=True):
             return self._execution
         shape = tuple(int(n) for n in params["forward_input_shape"])
         return self._execution_on(x.new_empty(1).expand(shape), params, flags)
-
-    def _execution_on(self, x: Tensor, params: Params, flags: dict[str, Any]) -> Execution:
-        """The execution of given parameters, with its matrices, on images of which only the shape and the device count."""
-        return self._from_params(params, x)
 
 
 class AugmentationBase2D(AugmentationBase):

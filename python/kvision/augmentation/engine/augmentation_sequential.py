@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal, get_args
 
@@ -13,14 +12,13 @@ from kvision import _check
 from kvision._choices import EachOrOnce, MatrixMode, OutputType
 from kvision.augmentation import labels
 from kvision.augmentation.arguments import Arguments, as_given
-from kvision.augmentation.engine.augmentation import RigidAffineAugmentationBase2D, RigidAffineAugmentationBase3D
 from kvision.augmentation.engine.call_labels import CallLabels
+from kvision.augmentation.engine.chain_executor import check_rigid
 from kvision.augmentation.engine.image_sequential import ImageSequential
-from kvision.augmentation.engine.label_moves import move_boxes_back
-from kvision.augmentation.engine.label_record import LabelRecord
-from kvision.augmentation.engine.list_calls import Parts
+from kvision.augmentation.engine.label_record import LabelRecord, labels_back
+from kvision.augmentation.engine.label_settings import LabelSettings, MaskReading
+from kvision.augmentation.engine.parts import Parts
 from kvision.augmentation.engine.record import ParamItem, Record
-from kvision.augmentation.engine.stages import Chain, LabelSettings, MaskReading
 from kvision.augmentation.engine.video_sequential import VideoSequential
 from kvision.augmentation.inputs import (
     VideoLayout,
@@ -35,8 +33,8 @@ from kvision.augmentation.inputs import (
 from kvision.augmentation.keys import Seed
 from kvision.augmentation.samples import inverse_at
 from kvision.color.frames import Frames
-from kvision.constants import AnyDataKey, DataKey, DataKeys, Resample
-from kvision.core.exceptions import BaseError, ValueCheckError
+from kvision.constants import AnyDataKey, DataKey, DataKeys
+from kvision.core.exceptions import ValueCheckError
 from kvision.geometry.transform.lists.arguments import largest_shape
 
 _OP = "AugmentationSequential"
@@ -275,7 +273,7 @@ class AugmentationSequential(ImageSequential):
                 raise ValueCheckError(f"{_OP}: expected one of data_keys to be 'input'")
             return self._move_alone(keys, inputs, params, masks)
         if self.transformation_matrix_mode == "rigid":
-            _check_rigid(self)
+            check_rigid(_OP, self)
         first = keys.index(DataKey.INPUT)
         videos = self._video_layout(inputs[first])
         inputs, restore = as_frames(videos, keys, inputs)
@@ -321,16 +319,8 @@ class AugmentationSequential(ImageSequential):
 
     @property
     def _label_settings(self) -> LabelSettings:
-        reading = MaskReading()
-        for key, options in self.extra_args.items():
-            if DataKey.get(key) == DataKey.MASK:
-                mode = options.get("resample", "nearest")
-                reading = MaskReading(
-                    None if mode is None else Resample.get(mode).name.lower(), options.get("fill_value")
-                )
-                break
         is_default = self.extra_args is self._default_extra_args
-        return LabelSettings(self._clips_each, self.box_filter, reading, is_default)
+        return LabelSettings(self._clips_each, self.box_filter, MaskReading.of(self.extra_args), is_default)
 
     def _video_layout(self, videos: Any) -> VideoLayout | None:
         """The layout of videos, which containers with a VideoSequential take."""
@@ -399,17 +389,9 @@ class AugmentationSequential(ImageSequential):
 
     def _moved_back(self, key: DataKey, value: Any, record: Record) -> Any:
         """Results of a call, or what belongs to them, moved back to the images before it."""
-        stages, size, shape = record.stages, record.size, record.shape or ()
-        if key == DataKey.INPUT:
-            return self._restored(inverse_at(self.transform_tensor(value), size, stages.invert), value)
-        if key == DataKey.MASK:
-            return _masks_back(value, stages, size, shape[0])
-        if key == DataKey.KEYPOINTS:
-            return labels.move_points(value, stages.move_points_back, len(shape) - 2)
-        if key in labels.BOX_FORMATS:
-            move = functools.partial(move_boxes_back, stages)
-            return labels.move_boxes(value, labels.BOX_FORMATS[key], move)[0]
-        return value
+        if key != DataKey.INPUT:
+            return labels_back(key, value, record.stages, record.size, record.shape or ())
+        return self._restored(inverse_at(self.transform_tensor(value), record.size, record.stages.invert), value)
 
     def known_pixels(self, output: Tensor, params: Sequence[ParamItem] | None = None) -> Tensor:
         videos = None if isinstance(output, list) else self._video_layout(output)
@@ -422,31 +404,3 @@ def _no_image(inputs: Sequence[Any]) -> Tensor:
     values = (x for value in inputs for x in (value if isinstance(value, (list, tuple)) else (value,)))
     device = next((x.device for x in values if isinstance(x, Tensor)), "cpu")
     return torch.zeros(1, 1, 1, 1, device=device)
-
-
-def _masks_back(masks: Any, stages: Chain, size: Sequence[int], batch: int) -> Any:
-    """Masks of images, or a list of (N, h, w), moved back from results of a size, or of that of predictions."""
-    if isinstance(masks, (list, tuple)):
-        labels.check_tensors("the masks of an image", masks)
-        if not masks:
-            return masks
-        padded, counts = labels.pad(masks)  # as many instances for each image
-        return type(masks)(row[:n] for row, n in zip(_masks_back(padded, stages, size, batch), counts))
-    labels.check_tensors("mask", [masks])
-    images = (batch, 1, *masks.shape[-len(size) :])
-    return labels.move_masks(masks, lambda x: inverse_at(x, size, stages.move_masks_back), images)
-
-
-class _NotRigidError(BaseError, RuntimeError):
-    """Kornia raises a RuntimeError."""
-
-
-def _check_rigid(container: nn.Module) -> None:
-    """Raise unless all children have matrices."""
-    for child in container.children():
-        if isinstance(child, ImageSequential):
-            _check_rigid(child)
-        elif not isinstance(child, (RigidAffineAugmentationBase2D, RigidAffineAugmentationBase3D)):
-            raise _NotRigidError(
-                f"{_OP}: expected children with matrices for transformation_matrix_mode 'rigid', got {type(child).__name__}"
-            )

@@ -10,7 +10,8 @@ from torch import Tensor
 
 from kvision.augmentation import labels
 from kvision.augmentation.engine.label_record import LabelRecord, moved_masks
-from kvision.augmentation.engine.stages import Chain, LabelSettings, Nested, Stage
+from kvision.augmentation.engine.label_settings import LabelSettings
+from kvision.augmentation.engine.stages import Chain, Nested, Stage
 from kvision.augmentation.labels import BOX_FORMATS, BoxFilter
 from kvision.augmentation.sample_rows import index_of
 from kvision.constants import DataKey

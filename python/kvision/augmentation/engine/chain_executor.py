@@ -9,24 +9,29 @@ import torch
 from torch import Generator, Tensor, nn
 
 from kvision._choices import EachOrOnce
-from kvision.augmentation.engine.augmentation import AugmentationBase
+from kvision.augmentation.engine.augmentation import (
+    AugmentationBase,
+    RigidAffineAugmentationBase2D,
+    RigidAffineAugmentationBase3D,
+)
 from kvision.augmentation.engine.call_context import CallContext
 from kvision.augmentation.engine.call_labels import CallLabels
 from kvision.augmentation.engine.choices import Choices
 from kvision.augmentation.engine.configuration import kept
 from kvision.augmentation.engine.execution import check_batch_of_params, matrix_type
+from kvision.augmentation.engine.label_settings import LabelSettings
 from kvision.augmentation.engine.list_runs import execute_list
 from kvision.augmentation.engine.record import Child, ParamItem, Record, child_of
 from kvision.augmentation.engine.result_types import common_dtype, in_wider_type, result_dtype
 from kvision.augmentation.engine.runs import execute, images_of
 from kvision.augmentation.engine.sequential_base import ImageSequentialBase
-from kvision.augmentation.engine.stages import Chain, LabelSettings, Nested, Stage
+from kvision.augmentation.engine.stages import Chain, Nested, Stage
 from kvision.augmentation.engine.turns import Turn, execute_turns, turns_of
 from kvision.augmentation.inputs import as_batch, check_batch, checked_images, is_image_list
 from kvision.augmentation.keys import Seed, check_seeds, draw_keys, refuse_capture, refuse_graphs
 from kvision.augmentation.warp_and_color import SAME, Output
 from kvision.color.frames import Frames
-from kvision.core.exceptions import TypeCheckError, ValueCheckError
+from kvision.core.exceptions import BaseError, TypeCheckError, ValueCheckError
 from kvision.core.pixels import to_unit
 
 Children = Iterator[tuple[str, nn.Module]]
@@ -271,3 +276,18 @@ def checked_items(op: str, params: Any, field: str = "name") -> Sequence[Any]:
     if not isinstance(params, (list, tuple)) or not all(hasattr(item, field) for item in params):
         raise TypeCheckError(f"{op}: expected params to be the _params of a call, got {params!r:.80}")
     return params
+
+
+class _NotRigidError(BaseError, RuntimeError):
+    """Kornia raises a RuntimeError."""
+
+
+def check_rigid(op: str, container: nn.Module) -> None:
+    """Raise unless all children have matrices."""
+    for child in container.children():
+        if isinstance(child, ChainExecutor):
+            check_rigid(op, child)
+        elif not isinstance(child, (RigidAffineAugmentationBase2D, RigidAffineAugmentationBase3D)):
+            raise _NotRigidError(
+                f"{op}: expected children with matrices for transformation_matrix_mode 'rigid', got {type(child).__name__}"
+            )

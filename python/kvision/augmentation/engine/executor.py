@@ -1,4 +1,4 @@
-"""Execution of one augmentation: keys and columns, parameters by name, replay, probabilities, matrices and types."""
+"""Execution of one augmentation: passes, methods that users override, replay, matrices and types."""
 
 from __future__ import annotations
 
@@ -7,26 +7,22 @@ from typing import Any, NamedTuple
 
 import torch
 from torch import Generator, Tensor
-from torch.compiler import is_compiling
 
 from kvision._ops import match_layout
-from kvision.augmentation.columns import Columns, DrawPlan, Span, draw_columns, plan_draws
+from kvision.augmentation.columns import Columns, DrawPlan, Span
 from kvision.augmentation.drawn_pass import DrawnPass
-from kvision.augmentation.draws import is_chosen_batch
 from kvision.augmentation.engine.configuration import kept
 from kvision.augmentation.engine.contribution import Contribution
-from kvision.augmentation.engine.declaration import Declaration, size_of
+from kvision.augmentation.engine.declaration import Declaration
+from kvision.augmentation.engine.drawing import Drawing, decides
 from kvision.augmentation.engine.execution import (
     Execution,
     Params,
     Shape,
-    check_batch_of_params,
     matrix_type,
-    replaying,
 )
-from kvision.augmentation.keys import Keys, Seed, check_seeds, draw_keys
+from kvision.augmentation.keys import Seed
 from kvision.augmentation.lists.conversions import bytes_of_float_images, floats_of_byte_images
-from kvision.augmentation.noise import PixelNoise
 from kvision.augmentation.samples import where_chosen
 from kvision.augmentation.warp_and_color import SAME, Output, Pass, make_pass
 from kvision.color.scale_shift import bytes_of_floats, floats_of_bytes
@@ -44,217 +40,14 @@ class CallPlan(NamedTuple):
     drawn: DrawnPass | None  # the draws and the pass by one operator
 
 
-class Executor(Declaration):
-    """Draws the parameters of a call, or takes given ones, and executes what a subclass declares.
+class Executor(Drawing):
+    """Executes what a subclass declares.
 
     What one pass over the images executes is executed by it from the columns alone, and by one kernel with its draws where
     nothing else is asked for.
     """
 
     _execution: Execution | None = None  # of the last call
-
-    # --- drawing ---
-
-    def _applies(self, keys: Keys | None, index: int) -> bool:
-        """Whether the batch may be augmented: False only if that is known on the host."""
-        if self.p == 0 or self.p_batch == 0:
-            return False
-        if not self.whole_batch or self.p_batch == 1 or keys is None:
-            return True
-        key = keys.on_host(type(self).__name__)[0 if keys.has_seed else index]
-        return is_chosen_batch(key, index if keys.has_seed else 0, self.p_batch)
-
-    def _keys(self, x: Tensor, seed: Seed, generator: Generator | None) -> Keys:
-        op = type(self).__name__
-        keys = draw_keys(op, 1, x.device, seed, generator or self.generator)
-        if keys.seeds is not None:
-            check_seeds(op, keys, x.shape[0])
-        return keys
-
-    def _draws(self, shape: Shape, has_seed: bool) -> DrawPlan | None:
-        """The launch that draws for images of a shape, kept for them; None for nothing."""
-        key = ("draws", shape, has_seed)
-        kept: tuple[DrawPlan | None] | None = self._plans.get(key)
-        if kept is not None:
-            return kept[0]
-        request = self._request(shape) if may_apply(self, False) else None
-        draws = None if request is None else plan_draws([request], has_seed)[0]
-        if draws is None or draws.learned is None:
-            self._plans.keep(key, (draws,))
-        return draws
-
-    def _draw(self, x: Tensor, seed: Seed, generator: Generator | None, labels: Any = None) -> Execution:
-        """Draw the columns of a call, by its labels where the draw reads some."""
-        shape = tuple(x.shape)
-        draws = self._draws(shape, seed is not None)
-        if draws is None:
-            execution = Execution(shape, applied=self._applies(None, 0))
-        else:
-            keys = self._keys(x, seed, generator)
-            drawn, applied = Columns(draws.draw(x, keys), draws.spans[0]), self._applies(keys, 0)
-            execution = Execution(shape, drawn, applied=applied, redraw=(keys, 0), is_certain=self._is_certain)
-            if self._derives:
-                execution.redraw = None
-                execution.columns = self._derived(drawn, size_of(shape, drawn.drawn), labels) if applied else None
-        execution.identity = matrix_type(x)
-        return execution
-
-    # --- parameters by name ---
-
-    def _read_params(self, execution: Execution) -> Params:
-        if execution.params is None:
-            of_list = execution.of_list
-            execution.params = self._find_params(execution) if of_list is None else of_list.params(self._read_params)
-        return execution.params
-
-    def _find_params(self, execution: Execution) -> Params:
-        """The parameters that a call has drawn."""
-        device, dtype = self._rng
-        shape, columns, redraw = execution.shape, execution.columns, execution.redraw
-        if columns is not None and columns.drawn.is_cuda:
-            columns = self._columns_on_host(execution) or columns
-            redraw = None if redraw is None else (redraw[0].cpu(), redraw[1])
-        chosen = torch.full((shape[0],), float(execution.applied), device="cpu")
-        if columns is not None and columns.chosen is not None:
-            chosen = columns.chosen.detach().cpu() * chosen
-        params: Params = {}
-        if self._param_generator is not None and not self._draws_by_name:
-            if columns is None:  # nothing was drawn, as at p = 0: what stands for samples that are not chosen
-                values = self._identity_values(shape, torch.empty(0, dtype=torch.float32, device="cpu")).expand(
-                    shape[0], -1
-                )
-            else:
-                values = columns.values.detach()
-            params = self._named(values, execution)
-            if self._param_generator.per_pixel:
-                redraw = redraw or (draw_keys(type(self).__name__, 1, values.device, 0, None), 0)
-                noise = self._pixel_noise(execution, redraw, values.device)
-                params.update(self._pixel_params(values, execution, noise))
-        params["batch_prob"] = chosen
-        params["forward_input_shape"] = torch.tensor(shape, device="cpu")
-        return {
-            name: x.to(device, dtype if x.is_floating_point() else None) if isinstance(x, Tensor) else x
-            for name, x in params.items()
-        }
-
-    def _named(self, values: Tensor, execution: Execution) -> Params:
-        """Parameters by name from their columns (B, P)."""
-        generator = self._param_generator
-        assert generator is not None
-        return generator.to_params(values, execution.shape)
-
-    def _values_on_host(self, execution: Execution) -> Tensor:
-        """The values (B, P) for decisions of the host, without waiting for what the device has drawn."""
-        assert execution.redraw is not None
-        execution.redraw[0].on_host(type(self).__name__)  # which raises where it cannot be read
-        columns = self._columns_on_host(execution)
-        assert columns is not None
-        return columns.values
-
-    def _columns_on_host(self, execution: Execution) -> Columns | None:
-        """The columns drawn again: the same numbers, which wait for nothing but keys on the device. None where there were none."""
-        request = self._request(execution.shape, execution.is_certain)
-        if request is None or execution.redraw is None:
-            return None
-        (keys, index), frames = execution.redraw, execution.frames
-        images = torch.empty(execution.shape[0] // frames, device="cpu")
-        (columns,) = draw_columns(images, keys.cpu(), [request], index)
-        return columns if frames == 1 else columns._replace(drawn=columns.drawn.repeat_interleave(frames, 0))
-
-    def _params_on_device(self, x: Tensor, execution: Execution, for_users: bool = True) -> Params:
-        if execution.params is not None:
-            return self._on_device(execution.params, x.device)
-        if self._draws_by_name:
-            execution.params = {**self._read_params(execution), **self.generate_parameters(execution.shape)}
-            return self._on_device(execution.params, x.device)
-        params: Params = {"forward_input_shape": torch.tensor(execution.shape, device="cpu")} if for_users else {}
-        generator = self._param_generator
-        if execution.columns is None or generator is None:
-            return params
-        values = execution.columns.values
-        params.update(self._named(values, execution))
-        if generator.per_pixel and (execution.redraw or execution.noise):
-            noise = self._pixel_noise(execution, execution.redraw, x.device)
-            # The noise that `_params` has is float32.
-            is_fused = self.fuses_noise and execution.frames == 1 and x.dtype != torch.float64
-            if is_fused and not self._is_customized():
-                chosen = None if execution.is_certain else execution.columns.chosen
-                params["_noise"] = (values, noise._replace(chosen=chosen))
-            else:
-                params.update(self._pixel_params(values, execution, noise))
-        return params
-
-    def _pixel_noise(self, execution: Execution, redraw: tuple[Keys, int] | None, device: torch.device) -> PixelNoise:
-        """The source of the numbers of pixels."""
-        if execution.noise is not None:
-            return execution.noise._replace(device=device)
-        assert redraw is not None
-        return PixelNoise(*redraw, self.same_on_batch, device)
-
-    def _pixel_params(self, values: Tensor, execution: Execution, noise: PixelNoise) -> Params:
-        """The parameters with numbers of their own for each pixel, the same for the frames of a video."""
-        assert self._param_generator is not None
-        shape, frames = execution.shape, execution.frames
-        if frames == 1:
-            return self._param_generator.pixel_params(values, shape, noise)
-        drawn = self._param_generator.pixel_params(values[::frames], (shape[0] // frames, *shape[1:]), noise)
-        return {name: x.repeat_interleave(frames, 0) for name, x in drawn.items()}
-
-    @staticmethod
-    def _on_device(params: Params, device: torch.device) -> Params:
-        return {name: x.to(device) if isinstance(x, Tensor) else x for name, x in params.items()}
-
-    # --- replay ---
-
-    def _from_params(self, params: Params, x: Tensor) -> Execution:
-        """An execution that replays given parameters."""
-        shape = tuple(x.shape)
-        chosen = params.get("batch_prob")
-        applied = True
-        if chosen is None:
-            params = {**params, "batch_prob": torch.ones(shape[0], device="cpu")}
-        else:
-            check_batch_of_params(type(self).__name__, len(chosen), shape[0])
-            chosen = chosen > 0.5
-            if chosen.device.type == "cpu" and not is_compiling():
-                applied = bool(chosen.any()) or shape[0] == 0 or self._was_planned(params)
-                chosen = None if bool(chosen.all()) else chosen
-            chosen = None if chosen is None else chosen.to(x.device)
-        if "forward_input_shape" not in params:
-            params = {**params, "forward_input_shape": torch.tensor(shape, device="cpu")}
-        columns = None
-        if applied and not self._is_customized() and self._executes_columns(shape):
-            columns = self._columns_of(params, shape, x.device, chosen)
-        execution = Execution(shape, columns, chosen, applied, params)
-        execution.identity = matrix_type(x)
-        return execution
-
-    def _was_planned(self, params: Params) -> bool:
-        """Whether a call with these parameters planned for this augmentation, although no sample was chosen.
-
-        What is joined with neighbors takes part in their pass, which has to be the same in a replay.
-        """
-        if self.whole_batch or self.p == 0 or self.p_batch == 0 or self._is_customized():
-            return False
-        generator = self._param_generator
-        has_names = generator is not None and generator.has_names
-        return not has_names or not params.keys() <= {"batch_prob", "forward_input_shape"}
-
-    def _columns_of(self, params: Params, shape: Shape, device: torch.device, chosen: Tensor | None) -> Columns | None:
-        """The columns that would have been drawn for given parameters."""
-        if self._param_generator is None:
-            values = torch.empty(shape[0], 0, device=device)
-        else:
-            with replaying(type(self).__name__, params):
-                values = self._param_generator.to_columns(self._on_device(params, device), shape).to(device)
-        if values.dtype != torch.float64:
-            values = values.float()
-        parts = [values, *self._further_columns(shape, values, chosen)]
-        if chosen is not None and not self.whole_batch:
-            parts[0] = torch.where(chosen[:, None], values, self._identity_values(shape, values))
-            parts.insert(0, chosen[:, None].to(values.dtype))
-        drawn = torch.cat(parts, 1) if len(parts) > 1 else values
-        return Columns(drawn, Span(0, drawn.shape[1], len(parts) > 1 and parts[0] is not values and chosen is not None))
 
     # --- passes, planned once for images of a shape ---
 
@@ -325,6 +118,11 @@ class Executor(Declaration):
             execution.identity = matrix_type(x)
         self.__dict__["_execution"] = execution
         return y, execution
+
+    def _replay_and_run(self, x: Tensor, params: Params, flags: dict[str, Any]) -> tuple[Tensor, Execution]:
+        """Execute with given parameters."""
+        execution = self._execution = self._from_params(params, x)  # before it runs, as above
+        return self._run(x, execution, flags), execution
 
     def _copied_pieces(self, execution: Execution) -> Tensor | None:
         """The pieces of images of which the results are copies, of the same size; None for all but some that mix samples."""
@@ -413,13 +211,3 @@ class Executor(Declaration):
         """The matrices of a call that has kept none."""
         identity = self.identity_matrix(execution.shape)
         return identity if execution.identity is None else identity.to(*execution.identity)
-
-
-def decides(module: Executor) -> bool:
-    """Whether the host decides in each call if a batch is augmented, whose size changes."""
-    return module.whole_batch and 0 < module.p_batch < 1
-
-
-def may_apply(module: Executor, is_certain: bool) -> bool:
-    """Whether a call may augment anything, by the chances of its module."""
-    return is_certain or (module.p > 0 and module.p_batch > 0)

@@ -14,9 +14,10 @@ from kvision._ops import FLOATS
 from kvision._tv_tensors import wrap
 from kvision.augmentation.engine.augmentation import AugmentationBase
 from kvision.augmentation.engine.configuration import kept
+from kvision.augmentation.engine.label_settings import KNOWN
 from kvision.augmentation.engine.list_caller import ListCaller
 from kvision.augmentation.engine.record import ParamItem, Record, item_of
-from kvision.augmentation.engine.stages import KNOWN, ByMatrix, Chain
+from kvision.augmentation.engine.stages import ByMatrix, Chain
 from kvision.augmentation.engine.turns import SomeSamples
 from kvision.augmentation.inputs import (
     WIDE_INTEGERS,

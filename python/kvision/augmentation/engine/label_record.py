@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterator, Sequence
 from typing import Any
 
 from torch import Tensor
 
 from kvision.augmentation import labels
-from kvision.augmentation.engine.label_moves import LabelMoves
-from kvision.augmentation.engine.stages import Applied, Chain, LabelSettings, MaskReading, Nested, Stage
+from kvision.augmentation.engine.label_moves import LabelMoves, move_boxes_back
+from kvision.augmentation.engine.label_settings import LabelSettings, MaskReading
+from kvision.augmentation.engine.stages import Applied, Chain, Nested, Stage
 from kvision.augmentation.labels import BOX_FORMATS
+from kvision.augmentation.samples import inverse_at
 from kvision.constants import DataKey
 from kvision.core.exceptions import ShapeError
 
@@ -206,6 +209,30 @@ def moved_masks(masks: Any, stages: Chain, reading: MaskReading, images: Size | 
         masks, images = first.move_mask_list(_OP, masks, reading), (*images[:2], *first.size)
         stages = Chain(stages.stages[1:])
     return labels.move_masks(masks, lambda batch: stages.move_masks(batch, reading), images)
+
+
+def labels_back(key: DataKey, value: Any, stages: Chain, size: Size, images: Size) -> Any:
+    """Labels of results of a size, moved back to images of a shape."""
+    if key == DataKey.MASK:
+        return _masks_back(value, stages, size, images[0])
+    if key == DataKey.KEYPOINTS:
+        return labels.move_points(value, stages.move_points_back, len(images) - 2)
+    if key in BOX_FORMATS:
+        return labels.move_boxes(value, BOX_FORMATS[key], functools.partial(move_boxes_back, stages))[0]
+    return value
+
+
+def _masks_back(masks: Any, stages: Chain, size: Sequence[int], batch: int) -> Any:
+    """Masks of images, or a list of (N, h, w), moved back from results of a size, or of that of predictions."""
+    if isinstance(masks, (list, tuple)):
+        labels.check_tensors("the masks of an image", masks)
+        if not masks:
+            return masks
+        padded, counts = labels.pad(masks)  # as many instances for each image
+        return type(masks)(row[:n] for row, n in zip(_masks_back(padded, stages, size, batch), counts))
+    labels.check_tensors("mask", [masks])
+    images = (batch, 1, *masks.shape[-len(size) :])
+    return labels.move_masks(masks, lambda x: inverse_at(x, size, stages.move_masks_back), images)
 
 
 def _parts(stages: Chain, has_boxes: bool) -> Iterator[tuple[Any, Chain]]:

@@ -12,9 +12,11 @@ from torch import Generator, Tensor
 from kvision.augmentation.engine.call_labels import CallLabels
 from kvision.augmentation.engine.chain_executor import ChainExecutor, checked_items
 from kvision.augmentation.engine.configuration import kept
-from kvision.augmentation.engine.list_calls import Parts, call_in_parts, shapes_of_images
+from kvision.augmentation.engine.list_calls import call_in_parts
 from kvision.augmentation.engine.list_chains import run_chain
-from kvision.augmentation.engine.list_runs import replayed_record, run_list
+from kvision.augmentation.engine.list_records import replayed_record
+from kvision.augmentation.engine.list_runs import run_list
+from kvision.augmentation.engine.parts import Parts, shapes_of_images
 from kvision.augmentation.engine.record import ParamItem, Record
 from kvision.augmentation.engine.sized import SIZES, Sizes, gives_one_size, makes_batch, sizes_after
 from kvision.augmentation.inputs import is_image_list

@@ -17,15 +17,9 @@ from torch.compiler import is_compiling
 from kvision.augmentation.engine.augmentation import AugmentationBase
 from kvision.augmentation.engine.call_context import CallContext
 from kvision.augmentation.engine.execution import matrix_type
-from kvision.augmentation.engine.list_calls import (
-    Parts,
-    PartsOfImages,
-    joined,
-    params_of_rows,
-    refuse_list,
-    seeds_of_list,
-)
+from kvision.augmentation.engine.list_calls import refuse_list, seeds_of_list
 from kvision.augmentation.engine.list_runs import run_list
+from kvision.augmentation.engine.parts import Parts, PartsOfImages, joined, params_of_rows
 from kvision.augmentation.engine.record import Child, ParamItem, Record, SomeParamItem
 from kvision.augmentation.engine.runs import execute, inside_child, runs_of
 from kvision.augmentation.engine.stages import Chain, Nested, Stage

@@ -20,7 +20,7 @@ from kvision.augmentation.engine.call_context import CallContext
 from kvision.augmentation.engine.execution import Execution
 from kvision.augmentation.engine.passes import Alone, Joined, Step
 from kvision.augmentation.engine.record import Child
-from kvision.augmentation.engine.runs import RunPlan, plan_run
+from kvision.augmentation.engine.run_plans import RunPlan, plan_run
 from kvision.augmentation.engine.sized import SIZES, NumbersOfEach, Sized, SizedNumbers, find_sized, listed
 from kvision.augmentation.keys import Keys
 from kvision.geometry.transform.lists.arguments import sizes as sides_of

@@ -10,7 +10,8 @@ import torch
 from torch import Tensor
 
 from kvision.augmentation import labels
-from kvision.augmentation.engine.stages import MaskReading, Warp
+from kvision.augmentation.engine.label_settings import MaskReading
+from kvision.augmentation.engine.stages import Warp
 from kvision.augmentation.maps import exact, warp_each
 from kvision.core.exceptions import ShapeError
 

@@ -20,8 +20,8 @@ from torch.compiler import is_compiling
 from kvision.augmentation.columns import Column, Span
 from kvision.augmentation.draws import Draw
 from kvision.augmentation.engine.call_context import CallContext
+from kvision.augmentation.engine.drawing import may_apply
 from kvision.augmentation.engine.execution import Shape
-from kvision.augmentation.engine.executor import may_apply
 from kvision.augmentation.transforms import Transform
 from kvision.geometry.transform.lists.arguments import sizes as sides_of
 

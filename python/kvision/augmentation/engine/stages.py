@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -12,37 +12,14 @@ from torch import Tensor
 from kvision._dtype import compute_dtype
 from kvision.augmentation import maps
 from kvision.augmentation.engine.execution import Execution
-from kvision.augmentation.labels import BoxFilter, is_within
+from kvision.augmentation.engine.label_settings import LabelSettings, MaskReading
+from kvision.augmentation.labels import is_within
 from kvision.augmentation.maps import warp, warp_labels
 from kvision.augmentation.warp_and_color import Resampling
 from kvision.constants import Resample
 from kvision.geometry.linalg import transform_points
 
 _INSIDE = 0.5 - 1e-3  # of a center: not on an edge of the image, where rounding would decide
-
-
-class MaskReading(NamedTuple):
-    """How masks are read: a mode, None for that of the images, and what enters from outside, None for 0."""
-
-    mode: str | None = None
-    fill: Any = None
-    is_fixed: bool = False  # also inside of containers that read masks in another way
-
-    def inside(self, settings: LabelSettings | None) -> MaskReading:
-        """The same inside of a container with settings."""
-        return self if self.is_fixed or settings is None or settings.has_default_masks else settings.masks
-
-
-KNOWN = MaskReading("bilinear", None, True)  # of masks of the pixels that are known
-
-
-class LabelSettings(NamedTuple):
-    """What a container says about labels."""
-
-    clips_each: bool = False  # boxes end at the edges of the image after each stage
-    box_filter: BoxFilter = BoxFilter()
-    masks: MaskReading = MaskReading()
-    has_default_masks: bool = False  # `masks` is only for a container by itself; the one around it decides
 
 
 class Stage:

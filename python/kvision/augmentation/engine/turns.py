@@ -17,9 +17,10 @@ from torch import Tensor
 
 from kvision.augmentation.engine.augmentation import AugmentationBase
 from kvision.augmentation.engine.call_context import CallContext
+from kvision.augmentation.engine.label_settings import MaskReading
 from kvision.augmentation.engine.record import Child
 from kvision.augmentation.engine.runs import execute
-from kvision.augmentation.engine.stages import Chain, MaskReading, Stage
+from kvision.augmentation.engine.stages import Chain, Stage
 from kvision.augmentation.sample_rows import SampleRows, index_of, is_channels_last, numbers_by, read_rows
 from kvision.augmentation.warp_and_color import SAME
 from kvision.core.exceptions import ShapeError, ValueCheckError

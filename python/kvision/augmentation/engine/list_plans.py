@@ -23,6 +23,7 @@ from kvision.augmentation.engine.record import Child
 from kvision.augmentation.engine.run_plans import RunPlan, plan_run
 from kvision.augmentation.engine.sized import SIZES, NumbersOfEach, Sized, SizedNumbers, find_sized, listed
 from kvision.augmentation.keys import Keys
+from kvision.geometry.transform.lists.arguments import like_batch
 from kvision.geometry.transform.lists.arguments import sizes as sides_of
 
 _ANY = 2  # images of a batch in plans, which do not depend on it
@@ -42,17 +43,17 @@ class ListPlan(NamedTuple):
     begins_with_batch: bool  # the first augmentation makes one
     reads_executions: bool  # what each augmentation has drawn is read in the call
 
-    def keys(self, like: Tensor, count: int, context: CallContext) -> Keys | None:
+    def keys(self, images: Sequence[Tensor], context: CallContext) -> Keys | None:
         """What the columns of a call are drawn from."""
         if self.draws is None:
             return None
         drawing = self.run.drawing
-        keys = context.keys(drawing, like) if drawing else Keys(torch.zeros(1, dtype=torch.int64, device="cpu"))
-        context.check_seeds(keys, count)
+        keys = context.keys(drawing, images[0]) if drawing else Keys(torch.zeros(1, dtype=torch.int64, device="cpu"))
+        context.check_seeds(keys, len(images))
         return keys
 
     def draw(
-        self, images: list[Tensor], like: Tensor, keys: Keys | None, owners: Tensor | None
+        self, images: list[Tensor], keys: Keys | None, owners: Tensor | None
     ) -> tuple[tuple[Any, Tensor | None] | None, Tensor | None, Any]:
         """What the first step gives if one kernel computes it, the columns, and height and width of each image."""
         if isinstance(self.drawn, DrawnListPass) and self.drawn.serves(images):
@@ -66,20 +67,21 @@ class ListPlan(NamedTuple):
         of_sizes: Any = None if alone is None or keys is None else alone.run(images, keys)
         if of_sizes is None:
             own = sides_of(images)  # which checks them
-            of_sizes = self._columns(like, keys, own), own
+            of_sizes = self._columns(images, keys, own), own
         columns, sides = of_sizes
         return None, None if columns is None else self.run.of_owners(columns, owners), sides
 
-    def _columns(self, like: Tensor, keys: Keys | None, sides: Sequence[int]) -> Tensor | None:
+    def _columns(self, images: Sequence[Tensor], keys: Keys | None, sides: Sequence[int]) -> Tensor | None:
         if self.draws is None or keys is None:
             return None
+        like = like_batch(images)
         if self.numbers is None:
             return self.draws.draw(like, keys)
         return self.draws.draw_list(like, keys, self.listed, listed(self.numbers, sides))
 
-    def executions(self, like: Tensor, count: int, columns: Tensor | None, keys: Keys | None) -> list[Execution]:
-        """The execution of each augmentation, for so many images."""
-        executions = self.run.executions(like, columns, keys)
+    def executions(self, images: Sequence[Tensor], columns: Tensor | None, keys: Keys | None) -> list[Execution]:
+        """The execution of each augmentation."""
+        executions, count = self.run.executions(images[0], columns, keys), len(images)
         for execution in executions:
             execution.shape = (count, *execution.shape[1:])
         return executions

@@ -25,9 +25,10 @@ class ListParts(Parts):
     Each is a ListRun of some of the images, with their numbers.
     """
 
-    def __init__(self, op: str, runs: Sequence[tuple[Sequence[int], Any]], child: int | None = None) -> None:
-        self.op, self._runs, self._child = op, runs, child
-        self.count = sum(len(samples) for samples, _ in runs)
+    def __init__(
+        self, op: str, count: int, runs: Sequence[tuple[Sequence[int], Any]], child: int | None = None
+    ) -> None:
+        self.op, self.count, self._runs, self._child = op, count, runs, child
 
     @cached_property
     def rows(self) -> list[list[int]]:  # type: ignore[override]
@@ -54,7 +55,7 @@ class ListParts(Parts):
 
     def of_child(self, number: int) -> ListParts:
         """The calls of an augmentation of the runs."""
-        return ListParts(self.op, self._runs, number)
+        return ListParts(self.op, self.count, self._runs, number)
 
 
 def record_of_run(

@@ -56,23 +56,23 @@ class ListRun(ImagesOfList):
 
     def run(self, images: list[Tensor]) -> tuple[Any, list[Stage], list[Execution]]:
         """The results, a list or a batch; of a list that the first augmentation makes a batch the stages and what each did."""
-        plan, run, modules, like = self.plan, self.plan.run, self.modules, like_batch(images)
-        count = self.shape[0]
-        keys = self.keys = plan.keys(like, count, self.context)
-        result, columns, sides = plan.draw(images, like, keys, self.context.owners)
+        plan, run, modules = self.plan, self.plan.run, self.modules
+        keys = self.keys = plan.keys(images, self.context)
+        result, columns, sides = plan.draw(images, keys, self.context.owners)
         super().__init__(plan.sized, sides)
-        executions = plan.executions(like, count, columns, keys) if plan.reads_executions else []
+        executions = plan.executions(images, columns, keys) if plan.reads_executions else []
         if run.derives and columns is not None:
             width, sized = run.draws[0].plan[0], columns.shape[1]  # the numbers of sizes follow what is derived
             sizes_before = partial(self._sizes_before, images)
             columns = with_derived(modules, executions, columns, run, self.context, sizes_before)
             columns = torch.cat([columns[:, :width], columns[:, sized:], columns[:, width:sized]], 1)
-            executions = plan.executions(like, count, columns, keys)
+            executions = plan.executions(images, columns, keys)
         self.columns = columns
         if modules[0].needs_masks:
             self.found = modules[0]._find_in_list(images, executions[0], self.context)
         if plan.begins_with_batch:
-            parts = ListParts(self.context.op, [(range(count), self)], 0)
+            count = self.shape[0]
+            parts = ListParts(self.context.op, count, [(range(count), self)], 0)
             executions[0] = ListExecution(parts, executions[0].columns)
         running = Running(modules, executions, columns, self.context.has_labels, result, of_list=self)
         y, stages = run_steps(images, run.steps, running)
@@ -140,16 +140,15 @@ class ListRun(ImagesOfList):
 def execute_list(images: list[Tensor], children: Sequence[Child], context: CallContext) -> tuple[Tensor, list[Stage]]:
     """Run children on a list of images that the first one makes a batch; gives that and what labels have to follow."""
     count, position, first = len(children), context.position, images[0]
-    run, drawing = runs_of(children, context.plans)[0][0], 0
-    begin: ListRun | ListReplay
-    if run[0].params is not None:
-        ran, begin = 1, _replay_batch(images, run[0], context if count == 1 else context._replace(output=SAME))
-    else:
+    run = runs_of(children, context.plans)[0][0]
+    ran, drawing, plan = len(run), 0, None
+    if run[0].params is None:
         modules = [id(child.module) for child in children]
         key = ("list", first.shape[0], first.dtype, position, context.seed is None, context.output, *modules)
         ran, plan = context.plans.made(key, lambda: _plan_of_first(images, run, context, count))
-        own = context if ran == count else context._replace(output=SAME)
-        begin, drawing = ListRun(images, run[:ran], own, plan), len(plan.run.drawing)
+        drawing = len(plan.run.drawing)
+    own = context if ran == count else context._replace(output=SAME)
+    begin = _replay_of_batch(images, run, own) if plan is None else ListRun(images, run[:ran], own, plan)
     x, stages, executions = begin.run(images)
     keep_executions(run, executions)
     for end, at in ((len(run), position + drawing), (count, position + len(run))):
@@ -218,7 +217,7 @@ def run_list(
                 y[i] = result
     if children[0].params is not None:
         return y, None
-    parts = ListParts(context.op, runs)
+    parts = ListParts(context.op, count, runs)
     executions = [ListExecution(parts.of_child(i)) for i in range(len(modules))]
     if len(modules) == 1 and stages and isinstance(stages[0], Warp):
         executions[0].matrix = stages[0].matrix
@@ -309,7 +308,7 @@ class ListReplay:
             chains = plan.sized.bound(modules, spans, width)
         self.steps = plan_steps(modules, executions, context.once, images[0].dtype, context.output, chains)
         of_list = ImagesOfList(plan.sized, sides_of(images))
-        self.running = Running(modules, executions, columns, False, of_list=of_list)
+        self.running = Running(modules, executions, columns, context.has_labels, of_list=of_list)
 
     def run(self, images: list[Tensor]) -> tuple[Any, list[Stage], Sequence[Execution]]:
         """As that of :class:`ListRun`."""
@@ -317,11 +316,11 @@ class ListReplay:
         return y if self.steps else list(images), stages, self.running.executions
 
 
-def _replay_batch(images: list[Tensor], child: Child, context: CallContext) -> ListReplay:
-    """What makes a list a batch by an augmentation with its parameters, wherever these are."""
+def _replay_of_batch(images: list[Tensor], run: Sequence[Child], context: CallContext) -> ListReplay:
+    """What replays a run that makes a list a batch, wherever its parameters are."""
+    child, op, channels = run[0], context.op, images[0].shape[0]
     module: Any = child.module
     given = {name: value for name, value in child.params.items() if name != "batch_prob"}  # 1 of all that makes batches
-    channels = images[0].shape[0]
 
     def plan() -> ReplayPlan:
         sized = find_sized([module], [True], channels, context)
@@ -329,7 +328,8 @@ def _replay_batch(images: list[Tensor], child: Child, context: CallContext) -> L
         return ReplayPlan(sized, sized.numbers(has_draws=False))
 
     planned = module._plans.made(("replay of a list", channels), plan)
-    replay = ListReplay(images, [replace(child, params=given)], context, planned)
-    parts = Parts.of_params(context.op, child.params, [x.shape for x in images], images, module._execution_of_part)
-    replay.running.executions = [ListExecution(parts, replay.running.executions[0].columns)]
+    replay = ListReplay(images, [replace(child, params=given), *run[1:]], context, planned)
+    parts = Parts.of_params(op, child.params, [x.shape for x in images], images, module._execution_of_part)
+    first, *others = replay.running.executions
+    replay.running.executions = [ListExecution(parts, first.columns), *others]
     return replay

@@ -35,7 +35,6 @@ from kvision.augmentation.samples import inverse_at
 from kvision.color.frames import Frames
 from kvision.constants import AnyDataKey, DataKey, DataKeys
 from kvision.core.exceptions import ValueCheckError
-from kvision.geometry.transform.lists.arguments import largest_shape
 
 _OP = "AugmentationSequential"
 
@@ -207,7 +206,6 @@ class AugmentationSequential(ImageSequential):
         if source is not None and image is not None:
             values[image] = source._like()
         before = None if {*map(type, values)} == {Tensor} else arguments.convert(self, image)
-        record: Record
         if image is not None and isinstance(values[image], list) and not self._reads_lists():
             values[image] = self.transform_tensor(values[image])
             outputs, record = self._call_list(keys, values, params, seed, generator)
@@ -281,10 +279,8 @@ class AugmentationSequential(ImageSequential):
         x = self.transform_tensor(image)
         if before is not None:
             check_matrix(self, before, x)
-        call_labels, settings = None, self._label_settings if len(keys) > 1 else None
-        if settings is not None:
-            shape = tuple(x.shape) if isinstance(x, Tensor) else largest_shape(x)
-            call_labels = CallLabels(keys, inputs, settings, shape, not isinstance(x, Tensor))
+        settings = self._label_settings if len(keys) > 1 else None
+        call_labels = None if settings is None else CallLabels.of(keys, inputs, settings, x)
         time = 0 if videos is None else videos.sizes[1]
         y, record = self._execute(x, params, self._context(seed, generator, time, call_labels, source))
         record.size, record.videos = tuple(y.shape[2:]), videos
@@ -319,15 +315,13 @@ class AugmentationSequential(ImageSequential):
 
     @property
     def _label_settings(self) -> LabelSettings:
-        is_default = self.extra_args is self._default_extra_args
-        return LabelSettings(self._clips_each, self.box_filter, MaskReading.of(self.extra_args), is_default)
+        extra_args, default = self.extra_args, self._default_extra_args
+        return LabelSettings(self._clips_each, self.box_filter, MaskReading.of(extra_args), extra_args is default)
 
     def _video_layout(self, videos: Any) -> VideoLayout | None:
         """The layout of videos, which containers with a VideoSequential take."""
-        for child in self._modules.values():
-            if isinstance(child, VideoSequential):
-                return VideoLayout.of(_OP, child.data_format, videos)
-        return None
+        own = [child for child in self._modules.values() if isinstance(child, VideoSequential)]
+        return VideoLayout.of(_OP, own[0].data_format, videos) if own else None
 
     # --- labels of the last call ---
 

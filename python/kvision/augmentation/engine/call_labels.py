@@ -15,6 +15,7 @@ from kvision.augmentation.engine.stages import Chain, Nested, Stage
 from kvision.augmentation.labels import BOX_FORMATS, BoxFilter
 from kvision.augmentation.sample_rows import index_of
 from kvision.constants import DataKey
+from kvision.geometry.transform.lists.arguments import largest_shape
 
 Size = tuple[int, ...]
 
@@ -31,6 +32,12 @@ class CallLabels(NamedTuple):
     outer: CallLabels | None = None  # in a part of the call, such as a container that is a child, the labels before it
     wrap: Callable[[list[Stage]], Stage] | None = None  # gives what outer labels follow, of the stages of the part
     rows: Sequence[int] | None = None  # the samples of the outer batch that the part is about; None for all
+
+    @classmethod
+    def of(cls, keys: Sequence[DataKey], values: Sequence[Any], settings: LabelSettings, images: Any) -> CallLabels:
+        """Those of a call on images, a batch or a list."""
+        is_list = isinstance(images, list)
+        return cls(keys, values, settings, largest_shape(images) if is_list else tuple(images.shape), is_list)
 
     def after(self, stages: Sequence[Stage]) -> CallLabels:
         """The labels after further stages."""

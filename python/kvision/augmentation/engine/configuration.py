@@ -12,6 +12,7 @@ from torch.compiler import is_compiling
 from kvision.augmentation.keys import PortableGenerator
 
 Method = TypeVar("Method", bound=Callable[[Any], Any])
+Plan = TypeVar("Plan")
 _MOST = 512  # plans of an object: those of the samples of a batch that get one child have many sizes
 
 
@@ -46,13 +47,14 @@ class Plans:
             self._plans, self._count = {}, _Changes.count
         self._plans[key] = plan
 
-    def made(self, key: Hashable, make: Callable[[], Any]) -> Any:
+    def made(self, key: Hashable, make: Callable[[], Plan]) -> Plan:
         """The plan of a key, None among them, which `make` makes where there is none."""
         kept = self.get(key)
         if kept is None:
             kept = (make(),)
             self.keep(key, kept)
-        return kept[0]
+        plan: Plan = kept[0]
+        return plan
 
     def __reduce__(self) -> Any:
         return Plans, ()

@@ -253,7 +253,7 @@ class Declaration(KeepsArguments):
             each = {name: values[columns[0].position] for name, columns in names.items()}
             return {name: value for name, value in each.items() if value is not None}
 
-        constants: dict[str, float] = self._plans.made(("constants", shape), find)
+        constants = self._plans.made(("constants", shape), find)
         if params is None or not constants:
             return constants
         tensors = [x for x in params.values() if isinstance(x, Tensor)]

@@ -90,8 +90,7 @@ class Executor(Drawing):
         if flags is not self.flags:
             return self._pass_of(dtype, shape, span, flags, params)
         key = (dtype, shape, span, *self._constants(shape, params))
-        planned: Pass | None = self._plans.made(key, lambda: self._pass_of(dtype, shape, span, flags, params))
-        return planned
+        return self._plans.made(key, lambda: self._pass_of(dtype, shape, span, flags, params))
 
     # --- execution ---
 

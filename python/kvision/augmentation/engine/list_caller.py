@@ -22,7 +22,6 @@ from kvision.augmentation.engine.sized import SIZES, Sizes, gives_one_size, make
 from kvision.augmentation.inputs import is_image_list
 from kvision.augmentation.keys import Seed
 from kvision.constants import DataKey
-from kvision.geometry.transform.lists.arguments import largest_shape
 
 
 class ListCaller(ChainExecutor):
@@ -78,7 +77,7 @@ class ListCaller(ChainExecutor):
             return None
         images, labels = inputs[keys.index(DataKey.INPUT)], None
         if params is None and len(keys) > 1 and self._label_settings is not None:
-            labels = CallLabels(keys, inputs, self._label_settings, largest_shape(images), True)
+            labels = CallLabels.of(keys, inputs, self._label_settings, images)
         context = self._context(seed, generator, labels=labels)
         children = self._own_children() if params is None else self._children_of_call(params, context)
         self._check_batch_of(children, len(images))

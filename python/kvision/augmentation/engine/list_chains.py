@@ -23,9 +23,7 @@ from kvision.augmentation.engine.parts import Parts, PartsOfImages, joined, para
 from kvision.augmentation.engine.record import Child, ParamItem, Record, SomeParamItem
 from kvision.augmentation.engine.runs import execute, inside_child, runs_of
 from kvision.augmentation.engine.stages import Chain, Nested, Stage
-from kvision.augmentation.engine.turns import Turn
-from kvision.augmentation.keys import Seed
-from kvision.augmentation.sample_rows import read_rows
+from kvision.augmentation.engine.turns import Turn, seed_of
 from kvision.augmentation.warp_and_color import SAME
 
 Done = tuple[Sequence[Child], Sequence[Stage]]  # the children that an image got, and what labels have to follow
@@ -137,7 +135,7 @@ def _run_container(module: Any, images: list[Tensor], params: Any, context: Call
 def _run_turn(results: list[Tensor], turn: Turn, context: CallContext) -> Steps:
     """Run the children of a turn on its images among `results`, whose places the new ones take."""
     samples, owners = list(turn.samples), [-1] * len(turn.samples)
-    own = context._replace(seed=_rows(context.seed, samples, len(results)))
+    own = context._replace(seed=seed_of(context.seed, samples, len(results)))
     if turn.parts is not None:
         for number, chosen in enumerate(turn.parts):
             for sample in chosen:
@@ -213,14 +211,10 @@ def _run_each(
     for b, x in enumerate(images):
         own = [replace(child, params=params_of_rows(child.params, [b], len(images))) for child in children]
         owners = context.owners
-        alone = context._replace(seed=_rows(context.seed, [b], len(images)))
+        alone = context._replace(seed=seed_of(context.seed, [b], len(images)))
         if owners is not None:
             alone = alone._replace(owners=owners[b : b + 1])
         y, stages = execute(x[None], own, alone, position)
         results.append(y[0])
         each.append((own, stages))
     return results, each
-
-
-def _rows(seed: Seed, samples: Sequence[int], count: int) -> Seed:
-    return read_rows(seed, samples) if isinstance(seed, Tensor) and len(samples) < count else seed

@@ -24,7 +24,6 @@ from kvision.augmentation.inputs import checked_images, plain_image
 from kvision.augmentation.keys import Seed
 from kvision.augmentation.labels import box_edges, masks_as_batch
 from kvision.constants import DataKey
-from kvision.geometry.transform.lists.arguments import largest_shape
 
 _KEYS = {"boxes": DataKey.BBOX_XYXY, "masks": DataKey.MASK}  # of labels that draws read
 
@@ -46,7 +45,7 @@ class ListExecutor(Executor):
         child, context = Child(op, self, params), CallContext.of_module(op, seed, generator, self._plans)
         if labels is not None:
             keys, inputs = [*keys, _KEYS[self.reads_labels or ""]], [images, labels]
-            context = context._replace(labels=CallLabels(keys, inputs, LabelSettings(), largest_shape(images), True))
+            context = context._replace(labels=CallLabels.of(keys, inputs, LabelSettings(), images))
         with nullcontext() if params is None else replaying(op, params):
             done, parts = run_list(images, [child], context) if flags is self.flags else None, None
             if done is None:

@@ -103,8 +103,7 @@ def kept_plan(
         context.owners is None,
     )
     key = ("list run", *own, *applied, *map(id, modules))
-    plan: ListPlan | None = context.plans.made(key, lambda: _make_plan(images, modules, applied, context))
-    return plan
+    return context.plans.made(key, lambda: _make_plan(images, modules, applied, context))
 
 
 def _make_plan(
@@ -229,8 +228,7 @@ def kept_replay(
     first, names = images[0], [tuple(child.params) for child in children]
     own = (first.shape[0], first.dtype, context.once, context.output)
     key = ("list replay", *own, *applied, *[id(child.module) for child in children], *names)
-    plan: ReplayPlan | None = context.plans.made(key, lambda: _make_replay(images, children, applied, context))
-    return plan
+    return context.plans.made(key, lambda: _make_replay(images, children, applied, context))
 
 
 def _make_replay(

@@ -300,14 +300,14 @@ class ListReplay:
         chains: Mapping[int, Sequence[Transform]] = {}
         shape = (len(images), images[0].shape[0], *SIZES[0])
         executions, columns = replayed(like.new_empty(1).expand(shape), children)
+        of_list = ImagesOfList(plan.sized, sides_of(images))
         if plan.numbers is not None:
-            own = on_device(plan.numbers.of_each(images).to(compute_dtype(like)), like.device)
+            own = on_device(plan.numbers.of_sides(of_list.sides).to(compute_dtype(like)), like.device)
             width = 0 if columns is None else columns.shape[1]
             columns = own if columns is None else torch.cat([columns.to(own), own], 1)
             spans = [None if execution.columns is None else execution.columns.span for execution in executions]
             chains = plan.sized.bound(modules, spans, width)
         self.steps = plan_steps(modules, executions, context.once, images[0].dtype, context.output, chains)
-        of_list = ImagesOfList(plan.sized, sides_of(images))
         self.running = Running(modules, executions, columns, context.has_labels, of_list=of_list)
 
     def run(self, images: list[Tensor]) -> tuple[Any, list[Stage], Sequence[Execution]]:

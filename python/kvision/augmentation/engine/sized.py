@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from array import array
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property, lru_cache, partial
 from itertools import chain
 from typing import Any, NamedTuple
@@ -65,12 +65,8 @@ class SizedNumbers(NamedTuple):
         """The numbers for a size."""
         return [a + height * b + width * c for a, b, c in zip(self.constant, self.of_height, self.of_width)]
 
-    def of_each(self, images: Sequence[Tensor]) -> Tensor:
-        """The numbers (B, N) for the size of each image, float64 on the CPU."""
-        return self.of_sides(sides_of(images))
-
     def of_sides(self, sides: Sequence[int]) -> Tensor:
-        """The same for height and width of each image."""
+        """The numbers (B, N) for height and width of each image, float64 on the CPU."""
         own = torch.tensor(sides, dtype=torch.float64, device="cpu").view(-1, 2, 1)
         a, b, c = self.linear()
         return a + own[:, 0] * b + own[:, 1] * c
@@ -101,14 +97,11 @@ class NumbersOfEach:
 
     def of_each(self, images: Sequence[Tensor]) -> Tensor:
         """The numbers (B, N) for the size of each image, float64 on the CPU."""
-        return self._of_sizes(x.shape[-2:] for x in images)
+        return self.of_sides(sides_of(images))
 
     def of_sides(self, sides: Sequence[int]) -> Tensor:
         """The same for height and width of each image."""
-        return self._of_sizes(zip(sides[::2], sides[1::2]))
-
-    def _of_sizes(self, sizes: Iterable[Size]) -> Tensor:
-        rows = list(map(self._at_size, sizes))
+        rows = list(map(self._at_size, zip(sides[::2], sides[1::2])))
         if not rows[0]:
             return torch.empty(len(rows), 0, dtype=torch.float64, device="cpu")
         # The tensor is one of memory, as torch converts the entries of lists one by one.

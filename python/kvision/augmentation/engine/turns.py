@@ -107,7 +107,7 @@ def execute_turns(x: Tensor, turns: Sequence[Turn], context: CallContext) -> tup
             labels = context.labels
             if labels is not None:
                 labels = labels.of_samples(_wrap(stages, samples, batch), samples)
-            own = context._replace(output=SAME, labels=labels, seed=_seed_of(context.seed, samples, batch))
+            own = context._replace(output=SAME, labels=labels, seed=seed_of(context.seed, samples, batch))
             children = [replace(child, samples=samples, batch=batch) for child in turn.children]
             source = rows.take(samples)
             if turn.parts is None:
@@ -174,7 +174,7 @@ def _wrap(before: Sequence[Stage], samples: Sequence[int], batch: int) -> Callab
     return lambda stages: Turns([*earlier, SomeSamples(stages, samples, batch)], samples)
 
 
-def _seed_of(seed: Any, rows: Sequence[int], batch: int) -> Any:
+def seed_of(seed: Any, rows: Sequence[int], batch: int) -> Any:
     """The seeds of rows of a batch."""
     if not isinstance(seed, Tensor) or seed.dim() == 0:
         return seed

@@ -523,6 +523,14 @@ def test_gradients_reach_the_image() -> None:
     assert x.grad is not None and x.grad.abs().sum() > 0
 
 
+def test_gradients_of_batches_are_those_of_what_is_kept(device: torch.device) -> None:
+    x = torch.ones(4, 3, 9, 9, device=device, requires_grad=True)
+    for transform in (tv.RandomErasing(1.0), tv.RandomCrop(5)):
+        output = transform(x)
+        (grad,) = torch.autograd.grad(output.sum(), x)
+        assert set(grad.unique().tolist()) == {0.0, 1.0} and grad.sum() == output.sum()
+
+
 @pytest.mark.parametrize(
     "make",
     [

@@ -271,11 +271,15 @@ def at(x: Any, chosen: Any) -> Any:
 
 
 class _Inputs(list[Any]):
-    """Inputs of which the size is asked for many samples."""
+    """Inputs of which the size and the channels are asked for many samples."""
 
     @functools.cached_property
     def size(self) -> tuple[int, int]:
         return size_of(list(self))
+
+    @functools.cached_property
+    def channels(self) -> int:
+        return channels_in(list(self))
 
 
 def size_of(flat: Sequence[Any]) -> tuple[int, int]:
@@ -287,6 +291,8 @@ def size_of(flat: Sequence[Any]) -> tuple[int, int]:
 
 
 def channels_in(flat: Sequence[Any]) -> int:
+    if isinstance(flat, _Inputs):
+        return flat.channels
     channels = {channels_of(x) for x in flat if kind_of(x) in IMAGES}
     return _only(channels, "number of channels", "an image or a video")
 

@@ -103,6 +103,8 @@ def vertical_flip(inpt: Tensor) -> Tensor:
 def _crop_each(x: Tensor, rows: list[dict[str, Any]]) -> Any:
     if not _are_inside(x, rows) or len({(row["height"], row["width"]) for row in rows}) > 1:
         return NotImplemented
+    if x.device.type == "cpu":  # 40 times as fast as indexing
+        return torch.stack([_crop(image, **row) for image, row in zip(x, rows)])
     corners = on_device([[row["top"], row["left"]] for row in rows], x.device)[..., None, None, None]
     i = [torch.arange(n, device=x.device) for n in (*x.shape[:2], rows[0]["height"], rows[0]["width"])]
     return x[i[0][:, None, None, None], i[1][:, None, None], corners[:, 0] + i[2][:, None], corners[:, 1] + i[3]]

@@ -149,6 +149,11 @@ def _erase_each(x: Tensor, rows: list[dict[str, Any]]) -> Any:
     colors = [row["v"].flatten() for row in rows]
     if rows[0]["inplace"] or any(len(c) not in (1, x.shape[1]) for c in colors):
         return NotImplemented
+    if x.device.type == "cpu":  # 8 times as fast as choosing for each pixel
+        output = x.clone()
+        for i, row in enumerate(rows):
+            erase(output[i], **{**row, "inplace": True})
+        return output
     top, left, height, width = on_device([[row[n] for n in "ijhw"] for row in rows], x.device).T[..., None]
     y, column = (torch.arange(n, device=x.device) for n in x.shape[-2:])
     is_row, is_column = (y >= top) & (y < top + height), (column >= left) & (column < left + width)

@@ -1,8 +1,8 @@
-"""`python -m benchmarks.corruptions [NAMES]`: occlusion, corruption and distortion of batches, next to their floors.
+"""`python -m benchmarks.corruptions [NAMES]`: sizes, crops, occlusion, corruption and distortion of batches, next to their floors.
 
-Milliseconds of a batch of 3 x 224 x 224 pixels, float32 and uint8, and in floors: the images read once and the results written
-once. The bar on an NVIDIA H200 is 2.5 floors; more has an exclamation mark, or the reason why it needs more. On a GPU launches
-are counted, too. `--csv FILE` also writes the rows there.
+Milliseconds of a batch of 3 x 224 x 224 pixels, float32 and uint8, and in floors: as many pixels of the images read once as the
+results have, or all, and the results written once. The bar on an NVIDIA H200 is 2.5 floors; more has an exclamation mark, or the
+reason why it needs more. On a GPU launches are counted, too. `--csv FILE` also writes the rows there.
 """
 
 from __future__ import annotations
@@ -86,6 +86,7 @@ REASONS = {
 
 def augmentations() -> Iterator[tuple[str, Callable[..., Any]]]:
     """The classes by name, and the common corruptions in severity 3, which all samples get."""
+    yield from _sizes(5 * SIDE // 7)
     for case in (*OCCLUSION, *CORRUPTION, *DISTORTION):
         if case.name != "CommonCorruption":
             arguments = case.args if case.large is None else case.large
@@ -95,6 +96,34 @@ def augmentations() -> Iterator[tuple[str, Callable[..., Any]]]:
     for name in A.CommonCorruption.NAMES:
         texture = torch.rand(3, 2 * SIDE, 2 * SIDE) if name == "frost" else None
         yield name, A.CommonCorruption(name, 3, texture)
+
+
+def _sizes(side: int) -> Iterator[tuple[str, Callable[..., Any]]]:
+    """Sizes, crops and symmetries, to a side where that is free."""
+    yield "Pad", A.Pad(SIDE // 14, p=1.0)
+    yield "PadIfNeeded", A.PadIfNeeded(2 * SIDE - side, 2 * SIDE - side, position="random", p=1.0)
+    yield "SmallestMaxSize", A.SmallestMaxSize(side, p=1.0)
+    yield "LongestMaxSize", A.LongestMaxSize(side, p=1.0)
+    yield "RandomScale", A.RandomScale((0.9, 0.9), p=1.0)
+    yield "RandomZoomOut", A.RandomZoomOut(p=1.0)
+    yield "D4", A.D4(p=1.0)
+    yield "Transpose", A.Transpose(p=1.0)
+    yield "RandomIoUCrop", partial(_with_boxes, A.RandomIoUCrop(size=(side, side), p=1.0))
+    yield "RandomSizedBBoxSafeCrop", partial(_with_boxes, A.RandomSizedBBoxSafeCrop(side, side, p=1.0))
+    yield "AtLeastOneBBoxRandomCrop", partial(_with_boxes, A.AtLeastOneBBoxRandomCrop(side, side, p=1.0))
+    yield "RandomCropNearBBox", partial(_with_boxes, A.RandomCropNearBBox(size=(side, side), p=1.0))
+    yield "CropNonEmptyMaskIfExists", partial(_with_masks, A.CropNonEmptyMaskIfExists(side, side, p=1.0))
+
+
+def _with_boxes(augment: Callable[..., Any], images: Tensor) -> Any:
+    return augment(images, boxes=_boxes(images.shape[0], images.device))
+
+
+@cache
+def _boxes(batch: int, device: torch.device) -> Tensor:
+    """Three boxes of each image."""
+    corners = torch.rand(batch, 3, 2, generator=torch.Generator().manual_seed(0)) * 0.6 * SIDE
+    return torch.cat([corners, corners + 0.3 * SIDE], -1).to(device)
 
 
 def _with_masks(augment: Callable[..., Any], images: Tensor) -> Any:
@@ -111,9 +140,11 @@ def _squares(batch: int, device: torch.device) -> Tensor:
 
 def figure(augment: Callable[..., Any], images: Tensor, stopwatch: Any, bandwidth: float) -> tuple[float, float]:
     """Milliseconds of a call, and floors."""
+    result = augment(images)
+    written = (result[0] if isinstance(result, tuple) else result).nbytes
     timing = stopwatch.time(lambda: augment(images))
     seconds = stopwatch.value(timing)
-    return 1e3 * seconds, seconds * bandwidth / (2 * images.nbytes)
+    return 1e3 * seconds, seconds * bandwidth / (min(images.nbytes, written) + written)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -134,7 +165,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     copies = [1e3 * stopwatch.value(stopwatch.time(x.clone)) for x in inputs]
     print(f"{about['hardware']} / {about['cpu']}  threads {about['threads']}  {about['date']}  torch {about['torch']}")
     print(f"{len(images)}x3x{SIDE}x{SIDE}, a copy of float32 {copies[0]:.3f} ms, of uint8 {copies[1]:.3f} ms")
-    print(f"{'':22}{'float32 ms':>12}{'floors':>9}{'uint8 ms':>12}{'floors':>9}{'launches':>10}")
+    print(f"{'':26}{'float32 ms':>12}{'floors':>9}{'uint8 ms':>12}{'floors':>9}{'launches':>10}")
     rows: list[dict[str, str]] = []
     for name, augment in augmentations():
         if options.names and not any(part in name for part in options.names):
@@ -149,11 +180,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         row["why more than 2.5"] = REASONS.get(name, "!") if is_missed else ""
         rows.append(row)
         first, *cells, reason = row.values()
-        line = f"{first:22}{''.join(f'{cell:>{width}}' for cell, width in zip(cells, (12, 9, 12, 9, 10)))}  {reason}"
+        line = f"{first:26}{''.join(f'{cell:>{width}}' for cell, width in zip(cells, (12, 9, 12, 9, 10)))}  {reason}"
         print(line.rstrip(), flush=True)
     if options.csv is not None:
         where = f"{about['hardware']}, torch {about['torch']}: `python -m benchmarks.corruptions`"
-        size = f"{len(images)}x3x{SIDE}x{SIDE}; floors: images read once and results written once"
+        size = f"{len(images)}x3x{SIDE}x{SIDE}; floors: pixels read once and results written once"
         results.write(options.csv, [f"# {where}", f"# {size}"], rows)
     return 0
 

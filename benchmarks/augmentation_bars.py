@@ -126,6 +126,7 @@ def mosaic_of_detection(side: int) -> A.ImageSequential:
     )
 
 
+MIXES = (A.RandomCutMixV2, A.RandomMixUpV2, A.RandomJigsaw, A.RandomMosaic)
 LARGE, USUAL = (128, 3, 256, 256), (128, 3, 224, 224)
 PIPELINES = [
     Pipeline("A", pipeline_a, LARGE, 0.10, 0.25, 60),
@@ -155,6 +156,7 @@ PIPELINES = [
         of_shares=True,
     ),
     Pipeline("mosaic, warp, HSV", mosaic_of_detection, (32, 3, 640, 640), 0.25),
+    *(Pipeline(mix.__name__, lambda side, mix=mix: mix(p=1.0), LARGE, 0.12, host=80) for mix in MIXES),
     # Of a floor of 0.091 ms: the images and the views.
     Pipeline("MultiCrop", lambda side: A.MultiCrop(), LARGE, 0.137, differentiable=False),
     Pipeline("video", of_videos, (8, 16, 3, 256, 256), 0.25),

@@ -3,7 +3,7 @@
 # Believed: it turns the image about its center, shrunk so that all of it stays inside, and targets move together; turned by 180 degrees an image is
 # upside down, as Rotate and Affine have it. Seen: by 180 degrees every pixel is the mean of four, the first row and column are half fill, and a
 # spot lies (.5, .5) from where both flips put it, in images of even and odd sizes; by 30, 45 and 90 degrees it lies as far from the turned and
-# scaled position. Boxes are at that position, so that detectors learn an offset of half a pixel which no other transform here has.
+# scaled position. Boxes are at that position, so that a detector learns boxes half a pixel off.
 set -euo pipefail
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT

@@ -32,6 +32,7 @@ PASSES = {
     "filled crop": lambda: [A.RandomCrop((70, 100), padding=9, fill=0.5)],
 }
 SIZES = {"even": (96, 160), "odd": (72, 90)}
+RESULTS = {"bytes": {}, "float16": {"output_dtype": torch.float16, "memory_format": torch.channels_last}}
 
 
 @pytest.fixture
@@ -57,9 +58,9 @@ def both_ways(augment, x, kernel_calls, seed=5):
 
 def assert_same(results, dtype, device):
     (y, matrix, params), (fused, fused_matrix, fused_params) = results
-    tolerance = {torch.float32: 2e-5, torch.float16: 2e-3, torch.bfloat16: 2e-2, torch.uint8: 1.0}[dtype]
+    tolerances = {torch.float32: 2e-5, torch.float16: 2e-3, torch.bfloat16: 2e-2}
     assert fused.dtype == y.dtype and fused.stride() == y.stride()
-    assert_close(fused, y, 0.0, tolerance if device.type == "cuda" else 0.0)
+    assert_close(fused, y, 0.0, tolerances[dtype] if device.type == "cuda" else 0.0)
     if matrix is not None:
         assert_close(fused_matrix, matrix, 0.0, 0.0)
     assert_equal_params(fused_params, params)
@@ -78,20 +79,35 @@ def test_pieces_are_read_as_if_pasted(mix, warp, device, backend, kernel_calls):
 
 @pytest.mark.parametrize("layout", [torch.contiguous_format, torch.channels_last], ids=str)
 @pytest.mark.parametrize("size", SIZES)
-@pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16, torch.uint8], ids=str)
+@pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16], ids=str)
 def test_types_and_layouts(dtype, size, layout, device, kernel_calls):
     augment = A.ImageSequential(MIXES["mosaic"](1.0), *PASSES["perspective, jiggle"]())
     x = images(device, dtype, size, layout)
     assert_same(both_ways(augment, x, kernel_calls), dtype, device)
 
 
-def test_result_type_and_layout(device, kernel_calls):
-    options = {"output_dtype": torch.float16, "memory_format": torch.channels_last}
-    augment = A.ImageSequential(MIXES["mosaic"](1.0), *PASSES["perspective, jiggle"](), **options)
-    results = both_ways(augment, images(device, torch.uint8), kernel_calls)
-    assert results[1][0].dtype == torch.float16
-    assert results[1][0].is_contiguous(memory_format=torch.channels_last)
-    assert_same(results, torch.float16, device)
+@pytest.mark.parametrize("result", RESULTS)
+@pytest.mark.parametrize("layout", [torch.contiguous_format, torch.channels_last], ids=str)
+@pytest.mark.parametrize("size", SIZES)
+def test_bytes(size, layout, result, device, kernel_calls):
+    """CUDA warps batches in fixed point and pieces in floats, and colors may triple the level that these differ by.
+
+    So the warps are compared with each other, and colors with those of what the same warp has rounded.
+    """
+    x, options = images(device, torch.uint8, size, layout), RESULTS[result]
+    mosaic, (perspective, jiggle) = MIXES["mosaic"](1.0), PASSES["perspective, jiggle"]()
+    results = both_ways(A.ImageSequential(mosaic, perspective, jiggle, **options), x, kernel_calls)
+    if device.type != "cuda":
+        return assert_same(results, x.dtype, device)
+    warps = both_ways(A.ImageSequential(mosaic, perspective), x, kernel_calls)
+    for (warped, _, drawn), (y, _, params) in zip(warps, results):
+        assert_equal_params(params[:2], drawn)
+        expected = A.ImageSequential(jiggle, **options)(warped, params=[params[2]._replace(name="ColorJiggle_0")])
+        assert y.stride() == expected.stride()
+        assert_close(y, expected, 0.0, 1.0 if y.dtype == torch.uint8 else 2e-3)
+    error = (warps[0][0].float() - warps[1][0].float()).abs()
+    # Where they are up to .02 levels apart before rounding, 4% of values may be rounded to another level.
+    assert error.max() <= 1 and error.mean() <= 0.04
 
 
 def test_pixels_that_are_no_numbers(device, kernel_calls):

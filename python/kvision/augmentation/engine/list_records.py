@@ -36,8 +36,10 @@ class ListParts(Parts):
 
     @cached_property
     def calls(self) -> list[Any]:
-        records = [run.record(rows) for _, run in self._runs for rows in run.rows()]
-        return [record if self._child is None else record.children[self._child].record for record in records]
+        each = [(run, rows) for _, run in self._runs for rows in run.rows()]
+        if self._child is None:
+            return [run.record(rows) for run, rows in each]
+        return [run.executions(rows)[0][self._child] for run, rows in each]
 
     @property
     def shape(self) -> tuple[int, ...]:

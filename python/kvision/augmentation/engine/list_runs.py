@@ -102,13 +102,13 @@ class ListRun(ImagesOfList):
             return [[i] for i in range(self.shape[0])]
         return list(numbers_by(zip(self.sides[::2], self.sides[1::2])).values())
 
-    def record(self, rows: Sequence[int]) -> Record:
-        """The call of images of one size, by their numbers."""
+    def executions(self, rows: Sequence[int]) -> tuple[list[Execution], Tensor | None]:
+        """What each augmentation did to images of one size, by their numbers, and the columns of these."""
         first = rows[0]
         columns, shape = self.columns, (len(rows), self.shape[1], *self.sides[2 * first : 2 * first + 2])
         if columns is not None and len(rows) < len(columns):
             columns = columns.index_select(0, torch.tensor(rows, device="cpu").to(columns.device))
-        run, of_shape = self.plan.run, shape
+        run = self.plan.run
         executions = run.executions(self.like, columns, self.keys)
         has_seeds = self.keys is not None and self.keys.seeds is not None and len(rows) == 1
         for module, call, execution in zip(self.modules, run.calls, executions):
@@ -121,8 +121,13 @@ class ListRun(ImagesOfList):
                 redraw = (self._keys_of(first), execution.redraw[1])
             execution.redraw = redraw
             shape = module.output_shape(shape, module.flags) if call.applies else shape
+        return executions, columns
+
+    def record(self, rows: Sequence[int]) -> Record:
+        """The call of images of one size."""
+        executions, columns = self.executions(rows)
         children = [Child(*child) for child in zip(self.names, self.modules, repeat(None), executions)]
-        return record_of_run(of_shape, children, columns, self.like, self.context)
+        return record_of_run(executions[0].shape, children, columns, self.like, self.context)
 
     def _noise(self, module: Any, number: int, image: int) -> PixelNoise:
         """The source of the noise of an augmentation in an image."""

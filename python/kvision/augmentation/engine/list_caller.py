@@ -30,14 +30,10 @@ class ListCaller(ChainExecutor):
     _item_field = "name"  # that each item of `_params` has
 
     @kept
-    def _runs_all(self) -> bool:
-        """Whether a call runs all children in their order, and does nothing else."""
-        return self._reads_frames and not self._draws_choices and len(self) > 0
-
-    @kept
     def _reads_lists(self) -> bool:
         """Whether the first child makes a list a batch by one launch, so that the list is not taken image by image."""
-        return self._runs_all() and self.resample == "each" and makes_batch(next(iter(self._modules.values())))
+        runs_all = self._reads_frames and not self._draws_choices and len(self) > 0  # and does nothing else
+        return runs_all and self.resample == "each" and makes_batch(next(iter(self._modules.values())))
 
     @property
     def _runs_lists(self) -> bool:

@@ -33,7 +33,6 @@ class ListPlan(NamedTuple):
     """A run on lists."""
 
     run: RunPlan
-    steps: int  # which read lists
     sized: Sized
     draws: DrawPlan | None  # of all columns; None if there are none
     listed: Sequence[int]  # the draws with numbers of each image, by their positions among all
@@ -118,17 +117,23 @@ def _make_plan(
     run, _ = plan_run(like, modules, context, context.position, sized.bound)
     if len(run.draws) > 1 or any(draws.learned is not None for draws in run.draws):
         return None
-    steps = count_list_steps(run.steps, sized.own if has_one_size else None)
+    steps = len(run.steps)  # which read lists: all, or those up to the one that gives one size
+    if has_one_size:
+        numbers_of = [[step.number] if isinstance(step, Alone) else step.geometric for step in run.steps]
+        steps = 1 + next(i for i, numbers in enumerate(numbers_of) if sized.own in numbers)
     # The records of parts are made of passes; a batch from the first step on has its own.
     read = run.steps[:steps] if begins_with_batch and not context.once else run.steps
     if not all(takes_list(step, modules, like.dtype) for step in read):
         return None
     if context.output.memory_format is not None and not has_one_size:
         return None
-    by_matrix = [
-        isinstance(s, Joined) or (isinstance(s, Alone) and modules[s.number].warps_lists_by_matrix) for s in run.steps
-    ]
-    has_inputs = begins_with_batch or any(by_matrix[:steps])  # others read sizes themselves
+    has_inputs = (
+        begins_with_batch
+        or any(  # others read sizes themselves
+            isinstance(s, Joined) or (isinstance(s, Alone) and modules[s.number].warps_lists_by_matrix)
+            for s in run.steps[:steps]
+        )
+    )
     numbers = sized.numbers(has_inputs=has_inputs)
     draws, places = run.draws[0] if run.draws else None, list(sized.draws)
     if sized.count and has_inputs:
@@ -155,21 +160,13 @@ def _make_plan(
             drawn = run.drawn if _draws_windows(sized) else None
     reads_executions = run.derives or len(run.steps) > steps or any(isinstance(step, Alone) for step in run.steps)
     flags = begins_with_batch, begins_with_batch or reads_executions
-    return ListPlan(run, steps, sized, draws, places, numbers, drawn, sized_draws, *flags)
+    return ListPlan(run, sized, draws, places, numbers, drawn, sized_draws, *flags)
 
 
 def _draws_windows(sized: Sized) -> bool:
     """Whether nothing depends on the size of an image but windows that are drawn in it."""
     draws = zip(*map(sized.reading.draws, SIZES))
     return not sized.count and all(a == b or (a.kind in SIZED and a.numbers[:-2] == b.numbers[:-2]) for a, b in draws)
-
-
-def count_list_steps(steps: Sequence[Step], crop: int | None) -> int:
-    """How many steps read lists: all, or those up to the one with the augmentation that gives one size."""
-    if crop is None:
-        return len(steps)
-    numbers = [[step.number] if isinstance(step, Alone) else step.geometric for step in steps]
-    return 1 + next(i for i, of_step in enumerate(numbers) if crop in of_step)
 
 
 def takes_list(step: Step, modules: Sequence[Any], dtype: torch.dtype) -> bool:

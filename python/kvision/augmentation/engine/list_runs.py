@@ -183,16 +183,15 @@ def run_list(
     images: list[Tensor], children: Sequence[Child], context: CallContext
 ) -> tuple[Any, ListParts | None] | None:
     """The results of a run, a list or a batch, and its parts, None of a replay; None where others run or replay it."""
-    joined, count = _is_joined(images, children, context), len(images)
-    modules: list[Any] = [child.module for child in children]
-    if joined is None:
+    if not _is_run(images, children, context):
         return None
-    seeds, first = None, modules[0]
+    modules: list[Any] = [child.module for child in children]
+    count, seeds, first = len(images), None, modules[0]
     if children[0].params is not None:
         groups = _given_groups(children, count)
     elif context.is_certain or not any(decides(m) or not m.has_known_size for m in modules):
         groups = [(range(count), [may_apply(m, context.is_certain) for m in modules])]
-        if not joined and context.plans is not first._plans and context.seed is not None:  # a child that runs by itself
+        if first.needs_masks and context.plans is not first._plans and context.seed is not None:  # as it runs by itself
             context = context._replace(seed=context.seed + ((context.position + 1) << 32), position=0)
     elif is_compiling() or have_one_size(images):  # a batch, which is decided for as one
         return None
@@ -230,20 +229,18 @@ def run_list(
     return y, parts
 
 
-def _is_joined(images: Sequence[Tensor], children: Sequence[Child], context: CallContext) -> bool | None:
-    """Whether children draw together in one run of a call; False for one by itself; None where the call is not such a run."""
+def _is_run(images: Sequence[Tensor], children: Sequence[Child], context: CallContext) -> bool:
+    """Whether children draw together in one run, or one reads masks, and parameters that are given can be read on the host."""
     runs = runs_of(children, context.plans)
     if len(runs) != 1 or context.seed_of_samples is not context.seed:
-        return None
+        return False
     module: Any = children[0].module
-    joined = runs[0][1]
     if children[0].params is None:
         takes_masks = getattr(module, "needs_masks", False) and not module.mixes_samples
-        return joined or (False if takes_masks and module._takes_masks(images, context) else None)
-    if not joined or is_compiling() or any(child.samples is not None for child in children):
-        return None
-    on_gpu = any(isinstance(x, Tensor) and x.is_cuda for child in children for x in child.params.values())
-    return None if on_gpu else True
+        return runs[0][1] or bool(takes_masks and module._takes_masks(images, context))
+    if not runs[0][1] or is_compiling() or any(child.samples is not None for child in children):
+        return False
+    return not any(isinstance(x, Tensor) and x.is_cuda for child in children for x in child.params.values())
 
 
 def _prepared(

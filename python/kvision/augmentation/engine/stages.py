@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -137,18 +137,18 @@ class Chain(Stage):
         return kept
 
     def move_masks(self, masks: Tensor, reading: MaskReading) -> Tensor:
-        for stage in self.stages:
-            masks = stage.move_masks(masks, reading)
-        return masks
+        return self._through(masks, self.stages, lambda stage, x: stage.move_masks(x, reading))
 
     def move_masks_back(self, masks: Tensor) -> Tensor:
-        for stage in reversed(self.stages):
-            masks = stage.move_masks_back(masks)
-        return masks
+        return self._through(masks, self.stages[::-1], lambda stage, x: stage.move_masks_back(x))
 
     def invert(self, x: Tensor) -> Tensor:
-        for stage in reversed(self.stages):
-            x = stage.invert(x)
+        return self._through(x, self.stages[::-1], lambda stage, x: stage.invert(x))
+
+    def _through(self, x: Tensor, stages: Sequence[Stage], move: Callable[[Stage, Tensor], Tensor]) -> Tensor:
+        """Images or masks after stages, by what moves them through each."""
+        for stage in stages:
+            x = move(stage, x)
         return x
 
     def product(self, matrix: Tensor) -> Tensor:

@@ -17,7 +17,6 @@ from torch import Tensor
 
 from kvision.augmentation.engine.augmentation import AugmentationBase
 from kvision.augmentation.engine.call_context import CallContext
-from kvision.augmentation.engine.label_settings import MaskReading
 from kvision.augmentation.engine.record import Child
 from kvision.augmentation.engine.runs import execute
 from kvision.augmentation.engine.stages import Chain, Stage
@@ -261,17 +260,8 @@ class Turns(Chain):
             )
         return False
 
-    def move_masks(self, masks: Tensor, reading: MaskReading) -> Tensor:
-        return self._through(masks, self.stages, lambda stage, x: stage.move_masks(x, reading))
-
-    def move_masks_back(self, masks: Tensor) -> Tensor:
-        return self._through(masks, self.stages[::-1], lambda stage, x: stage.move_masks_back(x))
-
-    def invert(self, x: Tensor) -> Tensor:
-        return self._through(x, self.stages[::-1], lambda stage, x: stage.invert(x))
-
     def _through(self, x: Tensor, stages: Sequence[Stage], move: Callable[[Stage, Tensor], Tensor]) -> Tensor:
-        """Images or masks after stages, each of which moves its samples."""
+        """The same, where each stage moves its samples."""
         rows = SampleRows(x)
         everything = range(len(x))
         for stage in stages:

@@ -20,7 +20,7 @@ import PIL.Image
 import torch
 import torchvision
 from torch import Tensor
-from torchvision.transforms import v2
+from torchvision.transforms import InterpolationMode, v2
 
 from benchmarks import machine
 from benchmarks.case import photographs
@@ -30,6 +30,7 @@ from kvision import tv
 MEAN, STD = [0.485, 0.456, 0.406], [0.229, 0.224, 0.225]
 CORNERS = [[0, 0], [499, 0], [499, 374], [0, 374]], [[20, 12], [460, 8], [480, 350], [5, 360]]
 FLOAT = (torch.float32, True)
+BILINEAR = InterpolationMode.BILINEAR  # torchvision 0.26 takes no names, kvision.tv both
 BATCH = (128, 3, 256, 256)
 BAR = 10.0  # v2 image by image over kvision.tv, on a GPU
 
@@ -46,7 +47,7 @@ def transforms(m: Any, side: int = 256) -> dict[str, Any]:
         "ColorJitter": m.ColorJitter(0.4, 0.4, 0.4, 0.1),
         "RandomGrayscale": m.RandomGrayscale(1.0),
         "GaussianBlur": m.GaussianBlur(5),
-        "RandomAffine": m.RandomAffine(10, (0.1, 0.1), interpolation="bilinear"),
+        "RandomAffine": m.RandomAffine(10, (0.1, 0.1), interpolation=BILINEAR),
         "RandomPerspective": m.RandomPerspective(p=1.0),
         "RandomErasing": m.RandomErasing(1.0),
         "RandAugment": m.RandAugment(),
@@ -65,11 +66,11 @@ def transforms(m: Any, side: int = 256) -> dict[str, Any]:
 FUNCTIONS: dict[str, Callable[[Any, Any], Any]] = {
     "horizontal_flip, vertical_flip, crop, pad": lambda f, x: f.pad(f.crop(f.horizontal_flip(x), 3, 4, 50, 60), 4),
     "resize to half, bilinear": lambda f, x: f.resize(x, [187, 250]),
-    "resize to half, bicubic": lambda f, x: f.resize(x, [187, 250], "bicubic"),
-    "resize to half, nearest": lambda f, x: f.resize(x, [187, 250], "nearest"),
+    "resize to half, bicubic": lambda f, x: f.resize(x, [187, 250], InterpolationMode.BICUBIC),
+    "resize to half, nearest": lambda f, x: f.resize(x, [187, 250], InterpolationMode.NEAREST),
     "rotate by 30, nearest": lambda f, x: f.rotate(x, 30, fill=0),
-    "rotate by 30, bilinear": lambda f, x: f.rotate(x, 30, "bilinear", fill=0),
-    "affine, bilinear": lambda f, x: f.affine(x, 10, [3, 4], 1.1, [2.0, 3.0], "bilinear", fill=0),
+    "rotate by 30, bilinear": lambda f, x: f.rotate(x, 30, BILINEAR, fill=0),
+    "affine, bilinear": lambda f, x: f.affine(x, 10, [3, 4], 1.1, [2.0, 3.0], BILINEAR, fill=0),
     "perspective, bilinear": lambda f, x: f.perspective(x, *CORNERS, fill=0),
     "rgb_to_grayscale": lambda f, x: f.rgb_to_grayscale(x, 3),
     "adjust_brightness": lambda f, x: f.adjust_brightness(x, 1.3),

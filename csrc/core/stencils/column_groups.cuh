@@ -148,7 +148,7 @@ struct GroupRows {
 
   __device__ __forceinline__ Fetched fetch(int y) const {
     Fetched f{};
-    char const* const at = reinterpret_cast<char const*>(from) + int64_t(y) * stride;
+    char const* const at = reinterpret_cast<char const*>(from) + uint64_t(unsigned(y)) * unsigned(stride);
     if constexpr (Bytes > 0) {
       using V = Vector<Word, Bytes / int(sizeof(Word))>;
       constexpr int N = Bytes / int(sizeof(Word));

@@ -255,6 +255,21 @@ def test_pyramids_of_odd_sizes(size, device):
         check_like_reference(lambda x, border=border: G.pyrdown(x, border), x)
 
 
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float16, torch.bfloat16], ids=str)
+@pytest.mark.parametrize("border", ["reflect", "replicate", "constant"])
+def test_numbers_without_weight_are_harmless_to_pyramids(border, dtype, device):
+    """The middle pixel of an odd side is a pixel of the source: the last of its six taps has no weight."""
+    x = torch.rand(1, 3, 35, 299, device=device).to(dtype)
+    x[0, 0, 20] = x[0, 2, 0, 0] = float("inf")
+    x[0, 1, :, 152] = x[0, 2, 34, 298] = float("nan")
+    result = G.pyrdown(x, border)
+    with K.backend("reference"):
+        expected = G.pyrdown(x, border)
+    assert result[0, :, 8, 74].isfinite().all()
+    assert torch.equal(result.isnan(), expected.isnan())
+    assert torch.equal(result.isfinite(), expected.isfinite())
+
+
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float16, torch.uint8], ids=str)
 def test_bits_do_not_depend_on_where_rows_begin(dtype, device):
     x = torch.rand(2, 3, 100, 264, device=device)

@@ -14,8 +14,6 @@ constexpr bool kPyrdown = Filter == ResizeFilter::pyrdown;
 template <ResizeFilter Filter>
 constexpr int kTaps = kPyrdown<Filter> ? 6 : 5;
 template <ResizeFilter Filter>
-constexpr int kReach = kPyrdown<Filter> ? 2 : 1;  // the most pixels of a window that are out of bounds on a side
-template <ResizeFilter Filter>
 constexpr int kRead = 2 * (P - 1) + kTaps<Filter> + 1;  // pixels that a group may read
 
 template <ResizeFilter Filter>
@@ -28,7 +26,7 @@ __device__ __forceinline__ Window<Filter> window_of(ResizeAxis const& axis, int 
   if constexpr (kPyrdown<Filter>) {  // the mean of two binomials
     LinearTaps<float> const taps = linear_taps<float>(axis, i);
     float const t = taps.t, u = 1 - t;
-    return {taps.a - kReach<Filter>,
+    return {taps.a - 2,
             {u / 16, (4 * u + t) / 16, (6 * u + 4 * t) / 16, (4 * u + 6 * t) / 16, (u + 4 * t) / 16, t / 16}};
   } else {
     int64_t const n = axis.center(i);
@@ -48,29 +46,42 @@ __device__ __forceinline__ Window<Filter> window_of(ResizeAxis const& axis, int 
   }
 }
 
-// A row of the source: its weights in the three rows of the result that are not complete, bits of those that have it
-// in their window, and bit 3 where it completes the first of them.
+// Pixels out of bounds give their weights to those that the border reads instead: the two at an end of the image that
+// the window of the pixel beside it has.
+__device__ __forceinline__ void fold_border(Window<ResizeFilter::pyrdown>& window, Border border, bool left,
+                                            bool right) {
+  float(&w)[6] = window.weights;
+  auto const move = [&](float& from, float& reflected, float& edge) {
+    reflected += border == Border::reflect ? from : 0;
+    edge += border == Border::replicate ? from : 0;
+    from = 0;
+  };
+  if (left) move(w[0], w[4], w[2]), move(w[1], w[3], w[2]);
+  if (right) move(w[5], w[1], w[3]), move(w[4], w[2], w[3]);
+}
+
+// A row of the source: its weights in the three rows of the result that are not complete, and whether it completes the
+// first of them.
 struct alignas(16) SourceRow {
   float weights[3];
-  unsigned bits;
+  unsigned completes;
 };
-// Bytes are filtered along x as integers, two pixels and two weights at a time: their rows are units of 2^-15.
-template <class T, ResizeFilter Filter>
-constexpr bool kByInteger = sizeof(T) == 1 && !kPyrdown<Filter>;
 
 template <class T, ResizeFilter Filter, int Bytes>
 __global__ void __launch_bounds__(kThreads, 5)
     near_half_groups(__grid_constant__ Resize<T> const p, __grid_constant__ ColumnGroups<P, kThreads> const groups) {
-  constexpr int kTaps = cuda::kTaps<Filter>, kReach = cuda::kReach<Filter>, kRead = cuda::kRead<Filter>;
-  constexpr bool kByInteger = cuda::kByInteger<T, Filter>;
+  constexpr int kTaps = cuda::kTaps<Filter>, kRead = cuda::kRead<Filter>, kPairs = kTaps / 2 + 1;
+  // Bytes are filtered along x as integers, two pixels and two weights at a time: their rows are units of 2^-15.
+  constexpr bool kByInteger = sizeof(T) == 1;
   __shared__ Window<Filter> rows[2 * kRows + 2];
   __shared__ SourceRow source_rows[2 * kRows * 9 / 4 + 2 * kTaps];
   int64_t plane;
   int x, y0;
   groups.locate(plane, x, y0);
-  int const y1 = min(y0 + groups.rows, int(p.y.height)), height = int(p.x.height), width = int(p.x.width);
+  int const y1 = min(y0 + groups.rows, int(p.y.height));
   for (int i = threadIdx.x; i < y1 - y0 + 2; i += int(blockDim.x)) {
     rows[i] = window_of<Filter>(p.rows, min(y0 + i, y1 - 1));
+    if constexpr (kPyrdown<Filter>) fold_border(rows[i], p.rows.border, y0 + i == 0, y0 + i == int(p.y.height) - 1);
     if (y0 + i >= y1) rows[i].first = INT32_MAX / 2;  // begins after the last row that is read
   }
   __syncthreads();
@@ -78,47 +89,43 @@ __global__ void __launch_bounds__(kThreads, 5)
   for (int i = threadIdx.x; i < end - begin; i += int(blockDim.x)) {
     int at = max((i - kTaps) * 4 / 9, 0);  // the first row of the result that is not complete, or one before
     while (rows[at].first + kTaps <= begin + i) ++at;
-    SourceRow row{{}, begin + i - rows[at].first == kTaps - 1 ? 8u : 0u};
+    SourceRow row{{}, begin + i - rows[at].first == kTaps - 1 ? 1u : 0u};
     for (int s = 0; s < 3; ++s) {
       int const tap = begin + i - rows[at + s].first;
       if (tap < 0) break;
       row.weights[s] = rows[at + s].weights[tap] * (kByInteger ? 0x1p-15f : 1.f);
-      if (kPyrdown<Filter> || row.weights[s] != 0) row.bits |= 1u << s;
     }
     source_rows[i] = row;
   }
   __syncthreads();
 
-  float weights[P][kTaps + 1];  // of the pixels from 2 j on; the first or the last is 0
-  uint32_t pairs[P][kTaps / 2 + 1];
-  bool late[P];  // whether the window begins at 2 j + 1
-  int first;     // of the group
+  float weights[P][2 * kPairs];  // of the pixels from 2 j on; 0 for those that are not in the window
+  uint32_t pairs[P][kPairs];
+  int first;  // of the group
 #pragma unroll
   for (int j = 0; j < P; ++j) {
-    Window<Filter> const window = window_of<Filter>(p.columns, x + j);
+    Window<Filter> window = window_of<Filter>(p.columns, x + j);
     if (j == 0) first = window.first;
-    late[j] = window.first - first > 2 * j;
+    bool const late = window.first - first > 2 * j;  // begins at 2 j + 1
+    if constexpr (kPyrdown<Filter>)
+      fold_border(window, p.columns.border, j == 0 && x == 0, j == P - 1 && x + P == int(p.y.width));
 #pragma unroll
-    for (int t = 0; t <= kTaps; ++t) {
-      float const early = t < kTaps ? window.weights[min(t, kTaps - 1)] : 0;
-      weights[j][t] = late[j] ? (t > 0 ? window.weights[max(t - 1, 0)] : 0) : early;
+    for (int t = 0; t < 2 * kPairs; ++t) {
+      float const before = t > 0 && t <= kTaps ? window.weights[clamp(t - 1, 0, kTaps - 1)] : 0;
+      weights[j][t] = late ? before : t < kTaps ? window.weights[min(t, kTaps - 1)] : 0;
     }
     if constexpr (kByInteger)
 #pragma unroll
-      for (int t = 0; t <= kTaps; t += 2)
+      for (int t = 0; t < 2 * kPairs; t += 2)
         pairs[j][t / 2] = __float2uint_rn(weights[j][t] * 0x1p15f) | __float2uint_rn(weights[j][t + 1] * 0x1p15f) << 16;
   }
-  bool const left_end = first < 0, right_end = x + P == int(p.y.width);
-  Border const border = p.columns.border;
-  using Rows = GroupRows<T, kRead - 2 * kReach, kReach>;
-  Rows const reader(p.x, plane, first + kReach, border);
+  using Rows = GroupRows<T, kRead, 0>;
+  Rows const reader(p.x, plane, first, Border::constant);
   GroupStore<T, P, Bytes> out(p.y, plane, x, y0);
 
   int y = begin;
-  auto const fetch = [&](int y) {
-    int const source = y < end ? border_index(p.rows.border, y, height) : -1;
-    return source < 0 ? typename Rows::Fetched{} : reader.fetch(source);
-  };
+  int const last = min(end, int(p.x.height)) - 1;
+  auto const fetch = [&](int y) { return reader.fetch(clamp(y, 0, last)); };  // those out of bounds have no weight
   typename Rows::Fetched ahead[kAhead];
 #pragma unroll
   for (int i = 0; i < kAhead; ++i) ahead[i] = fetch(y + i);
@@ -139,7 +146,7 @@ __global__ void __launch_bounds__(kThreads, 5)
         for (int j = 0; j < P; ++j) {
           uint32_t sum = 0x4b000000;  // as a float 2^23
 #pragma unroll
-          for (int pair = j; pair <= j + kTaps / 2; ++pair)
+          for (int pair = j; pair < j + kPairs; ++pair)
             sum = pair % 2 ? __dp2a_hi(pairs[j][pair - j], packed[pair / 2], sum)
                            : __dp2a_lo(pairs[j][pair - j], packed[pair / 2], sum);
           h[j] = __uint_as_float(sum) - float(1 << 23);
@@ -148,32 +155,6 @@ __global__ void __launch_bounds__(kThreads, 5)
         float v[kRead];
         reader.unpack(ahead[slot], v);
         ahead[slot] = fetch(y + kAhead);
-        // Out of bounds are two pixels at an end of the image at most: its coordinates are within.
-        if constexpr (kPyrdown<Filter>) {
-          if (left_end) {
-            v[1] = border == Border::constant ? 0 : border == Border::reflect ? v[3] : v[2];
-            v[0] = border == Border::constant ? 0 : border == Border::reflect ? v[4] : v[2];
-          }
-          if (right_end) {
-            constexpr int kLast = 2 * (P - 1) + kTaps - 1;
-            auto const fill = [&](auto last) {
-              constexpr int i = last.value;  // of the last window
-              v[i - 1] = border == Border::constant ? 0 : border == Border::reflect ? v[i - 3] : v[i - 2];
-              v[i] = border == Border::constant ? 0 : border == Border::reflect ? v[i - 4] : v[i - 2];
-            };
-            if (late[P - 1])
-              fill(std::integral_constant<int, kLast + 1>{});
-            else
-              fill(std::integral_constant<int, kLast>{});
-          }
-        } else {
-          if (left_end) v[0] = 0;
-          if (right_end) {
-#pragma unroll
-            for (int i = kRead - 3; i < kRead; ++i)
-              if (first + i >= width) v[i] = 0;
-          }
-        }
 #pragma unroll
         for (int j = 0; j < P; ++j)
 #pragma unroll
@@ -185,24 +166,23 @@ __global__ void __launch_bounds__(kThreads, 5)
           for (int j = 0; j < P; ++j) poison += h[j] * 0;
           finite = poison == 0;
         }
-        if (!finite) {  // inf and NaN out of the window, or with weight 0 when resizing, contribute nothing
+        if (!finite) {  // inf and NaN with weight 0 contribute nothing
 #pragma unroll
           for (int j = 0; j < P; ++j) {
             h[j] = 0;
 #pragma unroll
             for (int t = 0; t <= kTaps; ++t)
-              if (kPyrdown<Filter> ? t != (late[j] ? 0 : kTaps) : weights[j][t] != 0)
-                h[j] = fmaf(weights[j][t], v[2 * j + t], h[j]);
+              if (weights[j][t] != 0) h[j] = fmaf(weights[j][t], v[2 * j + t], h[j]);
           }
         }
       }
 #pragma unroll
       for (int s = 0; s < 3; ++s)
-        if (finite || row.bits >> s & 1) {
+        if (finite || row.weights[s] != 0) {
 #pragma unroll
           for (int j = 0; j < P; ++j) sums[s][j] = fmaf(row.weights[s], h[j], sums[s][j]);
         }
-      if (row.bits & 8) {
+      if (row.completes) {
         out.put(rounded<T>(sums[0]));
 #pragma unroll
         for (int j = 0; j < P; ++j) sums[0][j] = sums[1][j], sums[1][j] = sums[2][j], sums[2][j] = 0;

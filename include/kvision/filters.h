@@ -11,13 +11,13 @@ namespace kvision {
 // --- edges
 
 inline Tensor sobel(Tensor const& input, bool normalized = true, double eps = 1e-6) {
-  return ops::sobel(detail::floats(detail::images("sobel", "input", input)), normalized, eps);
+  return ops::sobel(detail::floats_or_bytes(detail::images("sobel", "input", input)), normalized, eps);
 }
 
 // (B, C, 2, H, W): d/dx, d/dy; or for order 2 (B, C, 3, H, W): the second ones.
 inline Tensor spatial_gradient(Tensor const& input, DerivativeMode mode = DerivativeMode::sobel, int64_t order = 1,
                                bool normalized = true) {
-  auto const x = detail::floats(detail::images("spatial_gradient", "input", input));
+  auto const x = detail::floats_or_bytes(detail::images("spatial_gradient", "input", input));
   return ops::spatial_gradient(x, int64_t(mode), order, normalized);
 }
 // (B, C, 3, D, H, W), or for order 2 (B, C, 6, D, H, W), by central differences.

@@ -65,6 +65,8 @@ inline std::optional<Tensor> computed(std::optional<Tensor> const& x, Tensor con
 }
 
 inline Tensor floats(Tensor const& x) { return x.is_floating_point() ? x : x.to(at::kFloat); }
+// Of operators that have kernels for bytes.
+inline Tensor floats_or_bytes(Tensor const& x) { return x.scalar_type() == at::kByte ? x : floats(x); }
 
 // Checks of shapes; they give the tensor back.
 inline Tensor const& shaped(char const* op, char const* name, Tensor const& x, int64_t axes, char const* shape) {

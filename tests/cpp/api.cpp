@@ -108,8 +108,13 @@ void options() {
           torch::IntArrayRef({2, 3, 6, 4}));
   expect_close("a number and a tensor", kvision::add_weighted(x, 0.3, x, torch::tensor({0.2f, 0.2f}), 1.0),
                0.5 * x + 1);
-  expect_close("bytes", kvision::gaussian_blur2d((255 * x).to(torch::kByte), 3, 1.).to(torch::kFloat),
-               kvision::gaussian_blur2d((255 * x).to(torch::kByte).to(torch::kFloat), 3, 1.), 0.51);
+  Tensor const bytes = (255 * x).to(torch::kByte), floats = bytes.to(torch::kFloat);
+  expect_close("bytes", kvision::gaussian_blur2d(bytes, 3, 1.).to(torch::kFloat),
+               kvision::gaussian_blur2d(floats, 3, 1.), 0.51);
+  for (Tensor const& integers : {bytes, bytes.to(torch::kInt)}) {
+    expect_close("edges of integers", kvision::sobel(integers), kvision::sobel(floats));
+    expect_close("gradients of integers", kvision::spatial_gradient(integers), kvision::spatial_gradient(floats));
+  }
 }
 
 void results() {

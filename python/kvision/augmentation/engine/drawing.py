@@ -82,7 +82,6 @@ class Drawing(Declaration):
 
     def _find_params(self, execution: Execution) -> Params:
         """The parameters that a call has drawn."""
-        device, dtype = self._rng
         shape, columns, redraw = execution.shape, execution.columns, execution.redraw
         if columns is not None and columns.drawn.is_cuda:
             columns = self._columns_on_host(execution) or columns
@@ -105,6 +104,11 @@ class Drawing(Declaration):
                 params.update(self._pixel_params(values, execution, noise))
         params["batch_prob"] = chosen
         params["forward_input_shape"] = torch.tensor(shape, device="cpu")
+        return self._as_given(params)
+
+    def _as_given(self, params: Params) -> Params:
+        """Parameters where and in which type `_params` are given."""
+        device, dtype = self._rng
         return {
             name: x.to(device, dtype if x.is_floating_point() else None) if isinstance(x, Tensor) else x
             for name, x in params.items()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cached_property
 from typing import Any
@@ -40,6 +40,12 @@ class ListParts(Parts):
         if self._child is None:
             return [run.record(rows) for run, rows in each]
         return [run.executions(rows)[0][self._child] for run, rows in each]
+
+    def params(self, read: Callable[[Any], Any]) -> Any:
+        run = self._runs[0][1]
+        if self._child == 0 and run.plan.begins_with_batch and len(self._runs) == 1:
+            return run.params_of_first()
+        return super().params(read)
 
     @property
     def shape(self) -> tuple[int, ...]:

@@ -20,10 +20,11 @@ from torch.compiler import is_compiling
 
 from kvision._constants import on_device
 from kvision._dtype import compute_dtype
+from kvision.augmentation.columns import Columns
 from kvision.augmentation.draws import are_chosen_batches
 from kvision.augmentation.engine.call_context import CallContext
 from kvision.augmentation.engine.drawing import decides, may_apply
-from kvision.augmentation.engine.execution import Execution, ListExecution
+from kvision.augmentation.engine.execution import Execution, ListExecution, Params
 from kvision.augmentation.engine.list_calls import refuse_list, seeds_of_list
 from kvision.augmentation.engine.list_plans import ListPlan, ReplayPlan, kept_plan, kept_replay, takes_given
 from kvision.augmentation.engine.list_records import ListParts, record_of_run
@@ -128,6 +129,25 @@ class ListRun(ImagesOfList):
         executions, columns = self.executions(rows)
         children = [Child(*child) for child in zip(self.names, self.modules, repeat(None), executions)]
         return record_of_run(executions[0].shape, children, columns, self.like, self.context)
+
+    def params_of_first(self) -> Params:
+        """The parameters of the augmentation that makes the list a batch, read from the device at once."""
+        module, span = self.modules[0], self.plan.run.calls[0].span
+        generator, shapes = (
+            module._param_generator,
+            [(1, self.shape[1], h, w) for h, w in zip(self.sides[::2], self.sides[1::2])],
+        )
+        params: Params = {}
+        if generator is not None:
+            values = torch.empty(len(shapes), 0, device="cpu")
+            if self.columns is not None and span is not None:
+                values = Columns(self.columns, span).values.detach().cpu()
+            each = [generator.to_params(row, shape) for row, shape in zip(values.split(1), shapes)]
+            params = {name: torch.cat([own[name] for own in each]) for name in each[0]}
+        params["batch_prob"] = torch.ones(len(shapes), device="cpu")
+        params["forward_input_shape"] = torch.tensor(shapes, device="cpu")
+        given: Params = module._as_given(params)
+        return given
 
     def _noise(self, module: Any, number: int, image: int) -> PixelNoise:
         """The source of the noise of an augmentation in an image."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+import weakref
 from functools import partial
 
 import pytest
@@ -365,3 +367,16 @@ def test_noise_behind_a_late_crop_is_that_of_each_image(device):
     assert_close(augment(images, params=params), results, 1e-5, 1e-5)
     for b, x in enumerate(images):
         assert same(results[b], augment(x[None], seed=seeds[b : b + 1])[0])
+
+
+@pytest.mark.parametrize("chain", ["flips", "late crop"])
+def test_what_a_call_keeps_has_no_images(chain, device):
+    """Labels are moved in the call; what is kept for parameters and the inverse is as large as these."""
+    augment = A.AugmentationSequential(*PASSES[chain](), data_keys=["input", "bbox_xyxy"])
+    images = pictures(device, SMALL)
+    alive = [weakref.ref(x) for x in images]
+    augment(images, [torch.tensor([[1.0, 2, 9, 12]], device=device) for _ in images])
+    assert is_by_passes(augment)
+    del images
+    gc.collect()
+    assert not any(x() is not None for x in alive)

@@ -77,6 +77,8 @@ class ListRun(ImagesOfList):
             executions[0] = ListExecution(parts, executions[0].columns)
         running = Running(modules, executions, columns, self.context.has_labels, result, of_list=self)
         y, stages = run_steps(images, run.steps, running)
+        if self.context.labels is not None:
+            self.context = self.context._replace(labels=None)  # which have the images, that would be kept
         return y if run.steps else list(images), stages, executions
 
     def _sizes_before(self, images: Sequence[Tensor], number: int) -> Tensor:

@@ -315,6 +315,8 @@ def test_errors(device):
         (((y, uv.float()),), {}, TypeCheckError, "got torch.uint8, torch.float32"),
         (((y, uv, uv),), {}, ShapeError, r"as one tensor or \(y, uv\), got 3 tensors"),
         (((y, uv),), {"layout": "yuy2"}, ShapeError, "as one tensor, got 2"),
+        ((y[:, :7, :2],), {"layout": "yuy2"}, ShapeError, r"even W, got \(2, 7, 2\)"),
+        ((x[0, :10],), {}, ShapeError, r"got \(10, 16\)"),
         ((x,), {"size": (9, 16)}, ShapeError, r"size within the frame of \(8, 16\)"),
         ((x,), {"std": 0.0}, ValueCheckError, "std above 0"),
         ((x,), {"mean": (0.5, 0.5)}, ValueCheckError, "mean to be a number or three"),

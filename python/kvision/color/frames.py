@@ -327,15 +327,15 @@ def affine_of(
 # --- layouts ---------------------------------------------------------------------------------------------------------
 
 
-def _whole_frame(op: str, x: Tensor, layout: Layout) -> tuple[Tensor, Tensor, Tensor]:
-    """The planes of frames (B, rows, W) in one tensor."""
+def _whole_frame(op: str, x: Tensor, shape: torch.Size, layout: Layout) -> tuple[Tensor, Tensor, Tensor]:
+    """The planes of frames (B, rows, W) in one tensor, which was passed in a `shape` with B or without it."""
     rows, width = x.shape[-2:]
     height = rows * 2 // 3
     if height + (height + 1) // 2 != rows or height == 0 or width % 2 or (layout == "i420" and height % 2):
         raise ShapeError(
             f"{op}: expected planes of layout {layout!r} of shape (B, 3 H / 2, W) with even W"
-            f"{' and H' if layout == 'i420' else ''}, or luma and chroma as a tuple, got {tuple(x.shape)}",
-            actual_shape=x.shape,
+            f"{' and H' if layout == 'i420' else ''}, or luma and chroma as a tuple, got {tuple(shape)}",
+            actual_shape=shape,
         )
     y, chroma = x[:, :height], x[:, height:]
     if (
@@ -383,11 +383,12 @@ def _planes(op: str, planes: Any, layout: Layout, size: Any) -> tuple[Tensor, Te
         if packed:  # Y0 U Y1 V
             if x.shape[3] != 2 or x.shape[2] % 2:
                 raise ShapeError(
-                    f"{op}: expected planes of layout 'yuy2' of shape (B, H, W, 2) with even W, got {tuple(x.shape)}"
+                    f"{op}: expected planes of layout 'yuy2' of shape (B, H, W, 2) with even W, got {tuple(parts[0].shape)}",
+                    actual_shape=parts[0].shape,
                 )
             y, (u, v) = x[..., 0], x[..., 1].unflatten(2, (x.shape[2] // 2, 2)).unbind(3)
         else:
-            y, u, v = _whole_frame(op, x, layout)
+            y, u, v = _whole_frame(op, x, parts[0].shape, layout)
     else:
         y, *chroma = parts
         single = y.dim() == 2

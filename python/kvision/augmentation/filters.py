@@ -190,7 +190,7 @@ class RandomMedianBlur(IntensityAugmentationBase2D, keeps_contract=True):
 
     def _operation(self, like: Tensor, params: Params) -> Operation:
         ky, kx = _check.pair("RandomMedianBlur", "kernel_size", self.flags["kernel_size"])
-        _check.reflectable("RandomMedianBlur", like, (ky // 2, kx // 2), "reflect")
+        _check.reflectable("RandomMedianBlur", like, (ky // 2, kx // 2), "reflect", "use a smaller kernel_size")
         return Operation(median_blur, (ky, kx, BORDER["reflect"]))
 
 

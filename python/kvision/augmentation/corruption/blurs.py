@@ -94,7 +94,9 @@ class Defocus(IntensityAugmentationBase2D, keeps_contract=True):
         deviation = params["alias_blur"].to(like.device, compute_dtype(like))
         radius = params["radius"].to(like.device, torch.int64)
         disks = disk_kernels(deviation, radius, self._largest)
-        return Operation(filter_lists.filter2d, filter_arguments("filter2d", like, disks)[1:])
+        reach = disks.shape[-1] // 2
+        _check.reflectable("Defocus", like, (reach, reach), "reflect", "lower radius_range")
+        return Operation(filter_lists.filter2d, filter_arguments("Defocus", like, disks)[1:])
 
 
 class RingingOvershoot(IntensityAugmentationBase2D, keeps_contract=True):
@@ -144,6 +146,7 @@ class RingingOvershoot(IntensityAugmentationBase2D, keeps_contract=True):
     filters_chosen = True
 
     def _operation(self, like: Tensor, params: Params) -> Operation:
+        _check.reflectable("RingingOvershoot", like, (self._reach, self._reach), "reflect", "lower blur_range")
         own = compute_dtype(like)
         side, cutoff = (params[name].to(like.device, own)[:, None, None] for name in ("blur", "cutoff"))
         at = torch.arange(-self._reach, self._reach + 1, device=like.device, dtype=own)
@@ -153,7 +156,7 @@ class RingingOvershoot(IntensityAugmentationBase2D, keeps_contract=True):
         taps = torch.where(radius == 0, cutoff / (4 * math.pi), wave)
         taps = taps * (torch.maximum(y.abs(), x.abs()) <= (side - 1) / 2)
         total = taps.double().sum((1, 2), keepdim=True).to(own)  # whose bits do not depend on the number of samples
-        _, *arguments, _ = filter_arguments("filter2d", like, taps / total)
+        _, *arguments, _ = filter_arguments("RingingOvershoot", like, taps / total)
         return Operation(filter_lists.filter2d_clamped, tuple(arguments))
 
 
@@ -227,7 +230,8 @@ class GlassBlur(IntensityAugmentationBase2D, keeps_contract=True):
         keepdim: an image (C, H, W) gives an image (C, H, W) instead of a batch of one.
 
     Raises:
-        TypeError, ValueError: `sigma` is not a number above 0; the others are no ints of at least 1.
+        TypeError, ValueError: `sigma` is not a number above 0; the others are no ints of at least 1; in a call, images smaller than
+            the window of the blurs.
 
     Example:
         >>> import torch, kvision as K

@@ -152,7 +152,9 @@ def _disk(radius: int, alias_blur: float) -> tuple[Any, ...]:
 
 def _defocus_blur(like: Tensor, drawn: Params, images: Images, radius: int, alias_blur: float) -> Operation:
     disk = constant(_disk(radius, alias_blur), like, compute_dtype(like))
-    return Operation(filter_lists.filter2d, filter_arguments("filter2d", like, disk)[1:])
+    reach = disk.shape[-1] // 2
+    _check.reflectable("CommonCorruption", like, (reach, reach), "reflect", "choose another corruption")
+    return Operation(filter_lists.filter2d, filter_arguments("CommonCorruption", like, disk)[1:])
 
 
 def _motion_blur(like: Tensor, drawn: Params, images: Images, radius: int, sigma: float) -> Operation:

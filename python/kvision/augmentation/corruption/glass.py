@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from kvision import _check
 from kvision._choices import Border
 from kvision._dtype import compute_dtype
 from kvision._ops import Operator, match_layout, register
@@ -109,7 +110,9 @@ def glass(
 
     `like` is a batch of images, or as small as any of a list.
     """
-    size = (2 * reach_of(sigma) + 1,) * 2
+    reach = reach_of(sigma)
+    _check.reflectable("GlassBlur", like, (reach, reach), border, "lower sigma")
+    size = (2 * reach + 1,) * 2
     blur = Operation(filter_lists.gaussian_blur2d, blur_arguments("GlassBlur", like, size, (sigma, sigma), border)[1:])
     chosen: Tensor | None = None
     read: tuple[Any, ...]

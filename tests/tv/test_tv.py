@@ -306,6 +306,8 @@ OF_BATCHES = [
     lambda: tv.RandomResizedCrop(24),
     lambda: tv.RandomResizedCrop((24, 30), interpolation="bicubic"),
     lambda: tv.RandomResizedCrop(24, interpolation="nearest"),
+    lambda: tv.RandomCrop(32),
+    lambda: tv.RandomCrop((HEIGHT, 20)),
     lambda: tv.RandomCrop((HEIGHT, WIDTH), padding=3),
     lambda: tv.RandomRotation(30, "bilinear", fill=[1, 2, 3]),
     lambda: tv.RandomAffine(30, (0.1, 0.2), (0.7, 1.2), [-10, 10, -5, 5], fill=3),

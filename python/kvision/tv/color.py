@@ -9,6 +9,7 @@ from typing import Any
 import torch
 
 from kvision import _check
+from kvision._constants import constant
 from kvision.tv import argument, draw
 from kvision.tv import functional as F
 from kvision.tv.geometry import drawn_window
@@ -349,6 +350,9 @@ class JPEG(Transform, function=F.jpeg, draws=True):
         return {"quality": draw.integer(low, high + 1)}
 
 
+_ON_HOST = torch.zeros((), dtype=torch.float32, device="cpu")
+
+
 class RandomErasing(RandomTransform, function=F.erase):
     """Erase a random window with a probability.
 
@@ -382,7 +386,7 @@ class RandomErasing(RandomTransform, function=F.erase):
             w, h = drawn_window(height, width, self.scale, self.ratio)
             if h < height and w < width:
                 noise = torch.randn(channels, h, w, device="cpu") if value is None else None
-                v = torch.tensor(value, device="cpu")[:, None, None] if noise is None else noise
+                v = constant(tuple(((v,),) for v in value), _ON_HOST) if noise is None else noise
                 top, left = draw.integer(0, height - h + 1), draw.integer(0, width - w + 1)
                 return {"i": top, "j": left, "h": h, "w": w, "v": v}
         return None

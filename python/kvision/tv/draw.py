@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import functools
+import itertools
 import math
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar
 from typing import Any
 
+import numpy as np
 import torch
 
 # Where set, the source of numbers in [0, 1).
@@ -32,6 +34,13 @@ def together() -> AbstractContextManager[None]:
 def _unit_numbers() -> Iterator[float]:
     while True:
         yield from torch.rand(256, dtype=torch.float64, device="cpu").tolist()
+
+
+def units(count: int) -> Any:
+    """An array of the numbers that `unit` would give in turn, while they are taken together."""
+    numbers = _numbers.get()
+    assert numbers is not None
+    return np.fromiter(itertools.islice(numbers, count), np.float64, count)
 
 
 def unit() -> float:

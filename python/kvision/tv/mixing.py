@@ -151,10 +151,9 @@ class _Range(NamedTuple):
     is_whole: bool = False
 
 
-@functools.lru_cache(256)
 def _magnitudes(first: float, last: float, bins: int, is_whole: bool) -> list[float]:
     if is_whole:
-        return [round(first - i / ((bins - 1) / (first - last))) for i in range(bins)]
+        return [float(round(first - i / ((bins - 1) / (first - last)))) for i in range(bins)]
     numbers: list[float] = torch.linspace(first, last, bins, device="cpu").tolist()
     return numbers
 
@@ -218,12 +217,22 @@ class _Policy(Transform, function=F.affine, kinds=IMAGES, refused=LABELS | {"mas
     def _operation(self, size: tuple[int, int], bins: int, index: int | None = None, name: str = "") -> Operation:
         """An operation and its magnitude with its sign; a random one without a name, of a random index without one."""
         name = name or tuple(self.space)[draw.integer(0, len(self.space))]
-        if (numbers := self.space[name]) is None:
+        magnitudes, is_signed = self._table(size, bins)[name]
+        if not magnitudes:
             return name, 0.0
-        last = numbers.last if numbers.of is None else numbers.last * size[numbers.of]
-        magnitudes = _magnitudes(numbers.first, last, bins, numbers.is_whole)
-        number = float(magnitudes[draw.integer(0, bins) if index is None else index])
-        return name, -number if numbers.signed and draw.unit() <= 0.5 else number
+        number = magnitudes[draw.integer(0, bins) if index is None else index]
+        return name, -number if is_signed and draw.unit() <= 0.5 else number
+
+    @classmethod
+    @functools.lru_cache(64)
+    def _table(cls, size: tuple[int, int], bins: int) -> dict[str, tuple[list[float], bool]]:
+        """The magnitudes of each operation for images of a size, and whether their sign is random."""
+        table: dict[str, tuple[list[float], bool]] = dict.fromkeys(cls.space, ([], False))
+        for name, numbers in cls.space.items():
+            if numbers is not None:
+                last = numbers.last if numbers.of is None else numbers.last * size[numbers.of]
+                table[name] = _magnitudes(numbers.first, last, bins, numbers.is_whole), numbers.signed
+        return table
 
     def _calls(self, options: dict[str, Any], params: dict[str, Any]) -> list[Call]:
         calls = []

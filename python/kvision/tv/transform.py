@@ -161,8 +161,8 @@ class Transform(nn.Module):
         with draw.together():
             if not self._applies_functions:
                 return join([self._flat(sample, needed) for sample in split(flat, needed, samples)], flat, needed)
-            first = next(split(flat, needed, samples))  # samples are of one size
-            inputs = _Inputs(x for x, is_needed in zip(first, needed) if is_needed)
+            # Samples are of one size.
+            inputs = _Inputs(wrap(plain(x)[0], x) for x, is_needed in zip(flat, needed) if is_needed)
             params = [self._drawn(inputs) for _ in range(samples)]
         return [self._applied(x, params) if is_needed else x for x, is_needed in zip(flat, needed)]
 
@@ -221,7 +221,7 @@ class Chance(Transform):
     draws = True
 
     def _drawn(self, inputs: list[Any]) -> dict[str, Any] | None:
-        return super()._drawn(inputs) if draw.unit() < self.p else None  # type: ignore[operator]  # a field of subclasses
+        return self.make_params(inputs) if draw.unit() < self.p else None  # type: ignore[operator]  # a field of subclasses
 
 
 class RandomTransform(Chance):
@@ -249,16 +249,16 @@ def apply_calls(x: Any, calls: list[list[Call]]) -> Any:
         for i, own in enumerate(calls):
             if own:
                 by_function.setdefault(own[0][0], []).append(i)
-        source, is_copy = x, False
-        for function, chosen in by_function.items():
-            arguments = [calls[i].pop(0)[1] for i in chosen]
-            if len(chosen) == len(calls):
-                x = function.of_each(source, arguments)
-                continue
-            index = on_device(chosen, source.device)
-            part = function.of_each(at(source, index), arguments)
-            target = plain(x) if is_copy else plain(x).clone()
-            x, is_copy = wrap(target.index_copy_(0, index, plain(part)), source), True
+        arguments = [[calls[i].pop(0)[1] for i in chosen] for chosen in by_function.values()]
+        if [*map(len, arguments)] == [len(calls)]:
+            x = next(iter(by_function)).of_each(x, arguments[0])
+        elif arguments:
+            index = on_device([i for chosen in by_function.values() for i in chosen], x.device)
+            sizes, output = [*map(len, arguments)], plain(x).clone()
+            pieces = zip(by_function, arguments, index.split(sizes), plain(x)[index].split(sizes))
+            for function, rows, places, part in pieces:
+                output.index_copy_(0, places, plain(function.of_each(wrap(part, x), rows)))
+            x = wrap(output, x)
     return x
 
 

@@ -9,6 +9,7 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -366,9 +367,9 @@ def _check_threshold(threshold: float, white: float) -> None:
         raise TypeCheckError(f"solarize: expected a threshold of at most {white}, got {threshold}")
 
 
-def _solarize_steps(threshold: Tensor) -> list[Any]:
-    _check_threshold(threshold.max().item(), 255.0)
-    return [("solarize", (threshold.ceil() - 0.5) / 255, 0.0, 0.0)]
+def _solarize_steps(threshold: Any) -> list[Any]:
+    _check_threshold(threshold.max(), 255.0)
+    return [("solarize", (np.ceil(threshold) - 0.5) / 255, 0.0, 0.0)]
 
 
 @functional(keeps_alpha=True, steps=_solarize_steps)

@@ -37,7 +37,7 @@ def functional(
     interpolation. `keeps_alpha` says that alpha of PIL images stays. `pil` is a function of PIL images with the same values;
     NotImplemented says that they differ for some arguments.
     `each` is the kernel of images (B, C, H, W) with arguments of each; NotImplemented says that it has none for some. `steps` are
-    those of a color program that a function of bytes is: names with their parameters, by tensors (B,) of the arguments.
+    those of a color program that a function of bytes is: names with their parameters, by arrays (B,) of the arguments.
     Boxes and key points are torchvision's: their classes exist only where it is loaded, and its functions are public.
     """
 
@@ -101,13 +101,16 @@ def _as_numbers(value: Any) -> Any:
 
 def _of_each(call: Any, each: Any, mask: Any, parameters: Any, x: Any, arguments: list[dict[str, Any]]) -> Any:
     """A function of a batch of images, or of their masks, by arguments of each."""
-    if all(_are_equal(arguments[0], other) for other in arguments):
-        return call(x, **arguments[0])
+    first = arguments[0]
+    if not any(isinstance(value, Tensor) for value in first.values()) and all(own == first for own in arguments):
+        return call(x, **first)
     kind = kind_of(x)
     is_image = kind in ("tensor", "image") and plain(x).dim() == 4
     if each is not None and (is_image or (kind == "mask" and not callable(mask))):
-        defaults = {p.name: p.default for p in parameters}
-        rows = [{**defaults, **own} for own in arguments]
+        rows = [
+            {**{p.name: p.default for p in parameters}, **first},
+            *arguments[1:],
+        ]  # what all share is read from the first
         if kind == "mask" and mask is not None:
             rows[0]["interpolation"] = mask
         batch = plain(x)
@@ -116,11 +119,6 @@ def _of_each(call: Any, each: Any, mask: Any, parameters: Any, x: Any, arguments
             return wrap(output if batch.dim() == 4 else output[:, 0], x)
     outputs = [call(wrap(part, x), **own) for part, own in zip(plain(x), arguments)]
     return wrap(torch.stack([plain(y) for y in outputs]), x)
-
-
-def _are_equal(a: dict[str, Any], b: dict[str, Any]) -> bool:
-    """Whether arguments without tensors are equal."""
-    return not any(isinstance(v, Tensor) for v in (*a.values(), *b.values())) and a == b
 
 
 def on_device(values: Any, device: torch.device) -> Tensor:

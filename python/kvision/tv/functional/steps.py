@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from kvision._tv_tensors import kind_of, plain, wrap
 from kvision.color.program import MAX_TENSORS, Arguments, run
@@ -25,30 +24,31 @@ def apply_steps(x: Any, calls: list[list[Any]]) -> Any:
     batch = plain(x)
     if kind_of(x) not in ("tensor", "image") or batch.dtype != torch.uint8 or batch.dim() != 4 or batch.shape[1] != 3:
         return x
+    if not any(getattr(function, "steps", None) for function in {own[0][0] for own in calls if own}):
+        return x
     images = [_taken(own) for own in calls]
     steps: list[int] = []
     numbers: list[float] = []
     columns: list[int] = []  # of each number in the table of those that differ, -1 for one that all images have
-    table: list[Tensor] = []
+    table: list[Any] = []  # arrays
     places: dict[Any, range] = {}  # of the steps of each function
     for function in dict.fromkeys(function for taken in images for function in taken):
         some = next(taken[function] for taken in images if function in taken)
         rows = [taken.get(function, some) for taken in images]
-        of_each = {name: torch.tensor([row[name] for row in rows], device="cpu") for name in some}
+        of_each = {name: np.array([row[name] for row in rows], np.float32) for name in some}
         first = len(steps)
         for name, *values in function.steps(**of_each):
             steps.append(STEPS[name].number)
             for value in values:
-                columns.append(len(table) if isinstance(value, Tensor) else -1)
-                numbers.append(0.0 if isinstance(value, Tensor) else value)
-                table += [value.float()] if isinstance(value, Tensor) else []
+                differs = isinstance(value, np.ndarray)
+                columns.append(len(table) if differs else -1)
+                numbers.append(0.0 if differs else value)
+                table += [value] if differs else []
         places[function] = range(first, len(steps))
-    if not steps:
-        return x
     orders = [[place for function in taken for place in places[function]] for taken in images]
     longest = max(map(len, orders))
     order = on_device(np.array([own + [-1] * (longest - len(own)) for own in orders]), x.device)
-    drawn = on_device(torch.stack(table, 1)[:, None], x.device) if table else None
+    drawn = on_device(np.stack(table, 1)[:, None], x.device) if table else None
     parameters = Arguments((drawn, *[None] * (MAX_TENSORS - 1)), numbers, columns if table else ())
     return wrap(run(batch, steps, parameters, order), x)
 

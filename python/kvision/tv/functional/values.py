@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import operator
 from collections.abc import Callable
 from typing import Any
 
@@ -146,18 +147,20 @@ def gaussian_noise(inpt: Tensor, mean: float = 0.0, sigma: float = 0.1, clip: bo
 
 
 def _erase_each(x: Tensor, rows: list[dict[str, Any]]) -> Any:
-    colors = [row["v"].flatten() for row in rows]
-    if rows[0]["inplace"] or any(len(c) not in (1, x.shape[1]) for c in colors):
+    if rows[0]["inplace"]:
         return NotImplemented
     if x.device.type == "cpu":  # 8 times as fast as choosing for each pixel
         output = x.clone()
         for i, row in enumerate(rows):
-            erase(output[i], **{**row, "inplace": True})
+            output[i, :, row["i"] : row["i"] + row["h"], row["j"] : row["j"] + row["w"]] = row["v"]
         return output
-    top, left, height, width = on_device([[row[n] for n in "ijhw"] for row in rows], x.device).T[..., None]
+    color = rows[0]["v"]
+    if any(row["v"] is not color for row in rows):  # noise
+        return NotImplemented
+    top, left, height, width = on_device([*map(operator.itemgetter(*"ijhw"), rows)], x.device).T[..., None]
     y, column = (torch.arange(n, device=x.device) for n in x.shape[-2:])
     is_row, is_column = (y >= top) & (y < top + height), (column >= left) & (column < left + width)
-    fill = on_device(torch.stack(colors).to(x.dtype), x.device)[..., None, None]
+    fill = on_device(color.to(x.dtype), x.device)
     return torch.where(is_row[:, None, :, None] & is_column[:, None, None], fill, x)
 
 

@@ -275,26 +275,22 @@ class _Inputs(list[Any]):
 
     @functools.cached_property
     def size(self) -> tuple[int, int]:
-        return size_of(list(self))
+        sizes = {height_and_width(x) for x in self if kind_of(x) in EVERYTHING}
+        return _only(sizes, "height and width", "an image, a video, a mask, boxes or key points")
 
     @functools.cached_property
     def channels(self) -> int:
-        return channels_in(list(self))
+        channels = {channels_of(x) for x in self if kind_of(x) in IMAGES}
+        return _only(channels, "number of channels", "an image or a video")
 
 
 def size_of(flat: Sequence[Any]) -> tuple[int, int]:
     """The height and width that all inputs have."""
-    if isinstance(flat, _Inputs):
-        return flat.size
-    sizes = {height_and_width(x) for x in flat if kind_of(x) in EVERYTHING}
-    return _only(sizes, "height and width", "an image, a video, a mask, boxes or key points")
+    return (flat if isinstance(flat, _Inputs) else _Inputs(flat)).size
 
 
 def channels_in(flat: Sequence[Any]) -> int:
-    if isinstance(flat, _Inputs):
-        return flat.channels
-    channels = {channels_of(x) for x in flat if kind_of(x) in IMAGES}
-    return _only(channels, "number of channels", "an image or a video")
+    return (flat if isinstance(flat, _Inputs) else _Inputs(flat)).channels
 
 
 def _only(found: set[Any], what: str, of: str) -> Any:

@@ -679,15 +679,9 @@ def _coefficients(startpoints: Any, endpoints: Any, coefficients: Any) -> Sequen
     starts, ends = (torch.as_tensor(p, dtype=torch.float64, device="cpu") for p in (startpoints, endpoints))
     if starts.shape[-2] != 4 or ends.shape[-2] != 4:
         raise ValueError(f"perspective: expected four points each, got {starts.shape[-2]} and {ends.shape[-2]}")
-    (u, v), zero = ends.unbind(-1), torch.zeros_like(ends[..., 0])
-    rows = []
-    for i, p in enumerate(starts.unbind(-1)):
-        one = [u, v, zero + 1]
-        rows.append(torch.stack([*([zero] * 3 * i), *one, *([zero] * 3 * (1 - i)), -p * u, -p * v], -1))
-    matrix = torch.stack(rows, -2).flatten(-3, -2)
-    points = starts.flatten(-2)[..., None]
-    solution = torch.linalg.lstsq(matrix, points, driver="gels").solution[..., 0].float()
-    return solution.tolist() if solution.dim() == 1 else [*solution.double().numpy().T]
+    matrices = transform.get_perspective_transform(ends.reshape(-1, 4, 2), starts.reshape(-1, 4, 2))
+    entries = matrices.flatten(1)[:, :8].float().double().numpy()  # rounded as v2's
+    return entries[0].tolist() if starts.dim() == 2 else [*entries.T]
 
 
 def _matrix_of_perspective(size: Any, startpoints: Any, endpoints: Any, coefficients: Any, **_: Any) -> Matrix:

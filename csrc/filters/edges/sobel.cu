@@ -364,6 +364,7 @@ int sobel(Sobel<T> const& p, CUstream_st* stream) {
 template <>
 int sobel(Sobel<uint8_t> const& p, CUstream_st* stream) {
   static int const resident = resident_blocks(sobel_bytes<true>, 256);
+  // Special case, H200: 2.5 (335x513) to 2.8 (336x512) times as fast as the kernel of float32 with a conversion.
   if (p.x.step == 1) {
     auto const strips = Strips<>::near(kByteRows, p.x.count(), p.x.height, p.x.width, 3, resident, kStripWarps);
     auto* const kernel = p.x.width < 128 ? sobel_bytes<false> : sobel_bytes<true>;

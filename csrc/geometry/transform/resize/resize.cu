@@ -184,7 +184,7 @@ int resize(Resize<T> const& p, CUstream_st* stream) {
   if constexpr (sizeof(T) < 8) {
     if (int const error = resize_octave(p, stream); error != kUnsupported) return error;
     if constexpr (sizeof(T) <= 2)
-      // Special case, H200: 1.11 (antialiased, 375x500) to 2.2 (pyrdown, 335x513) times as fast as strips, float16.
+      // Special case, H200: 1.2 (antialiased, 375x500) to 2.2 (pyrdown, 335x513) times as fast as strips, float16.
       if (int const error = resize_near_half(p, stream); error != kUnsupported) return error;
     if (int const error = resize_linear(p, stream); error != kUnsupported) return error;
     if constexpr (sizeof(T) > 1)

@@ -184,6 +184,10 @@ class RandomRotation(GeometricAugmentationBase2D):
         execution.matrix = self._matrix_of(x, execution, flags)
         return warp(x, execution.matrix, self._canvas(execution), self.resampling(flags))
 
+    @property
+    def _warps_masks(self) -> bool:
+        return self.has_known_size and type(self).transform_masks is RandomRotation.transform_masks
+
     def transform_masks(self, masks: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
         if self.has_known_size or not execution.applied:
             return super().transform_masks(masks, execution, flags)

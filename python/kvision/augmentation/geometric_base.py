@@ -206,6 +206,11 @@ class GeometricAugmentationBase2D(GeometricAugmentation, RigidAffineAugmentation
     ) -> Tensor:
         return self.apply_transform(input, params, flags, transform)
 
+    @property
+    def _warps_masks(self) -> bool:
+        """Whether masks are warped by the matrix to the size of the images, and nothing else is done to them."""
+        return type(self).transform_masks is GeometricAugmentationBase2D.transform_masks
+
     def transform_masks(self, masks: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
         if not execution.applied:
             return masks

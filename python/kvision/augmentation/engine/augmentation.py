@@ -150,6 +150,10 @@ class AugmentationBase(ListExecutor, keeps_contract=True):
         """Masks (B, C, H, W) of any type, moved as the images were."""
         return self._masks_by_name(masks, execution, flags) if self._is_overridden("apply_transform_mask") else masks
 
+    def _move_mask_list(self, masks: list[Tensor], found: Tensor | None, fill: Any) -> list[Tensor] | None:
+        """Masks (N, H, W) of the images of a list, changed as the images were; None where each is changed by itself."""
+        return None
+
     def _masks_by_name(self, masks: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
         """Masks moved by a method that a user's class overrides, which gets parameters by name."""
         if not execution.applied:

@@ -17,6 +17,7 @@ from kvision.augmentation.engine.chain_executor import check_rigid
 from kvision.augmentation.engine.image_sequential import ImageSequential
 from kvision.augmentation.engine.label_record import LabelRecord, labels_back
 from kvision.augmentation.engine.label_settings import LabelSettings, MaskReading
+from kvision.augmentation.engine.list_records import ListParts
 from kvision.augmentation.engine.parts import Parts
 from kvision.augmentation.engine.record import ParamItem, Record
 from kvision.augmentation.engine.video_sequential import VideoSequential
@@ -231,6 +232,13 @@ class AugmentationSequential(ImageSequential):
     def _with_labels_of_list(self, keys: Sequence[DataKey], inputs: Sequence[Any], y: Any, parts: Any) -> list[Any]:
         if len(keys) == 1:
             return [y]
+        if {*keys} == {DataKey.INPUT, DataKey.MASK} and isinstance(parts, ListParts):
+            moved = [
+                y if key == DataKey.INPUT else parts.moved_masks(m, self._label_settings.masks)
+                for key, m in zip(keys, inputs)
+            ]
+            if all(own is not None for own in moved):
+                return moved
         settings, masks = self._label_settings, labels.count_masks(keys, inputs)
         each = [
             self._with_labels(keys, parts.inputs(rows, keys, inputs), call, settings, masks)

@@ -12,11 +12,13 @@ from torch.compiler import is_compiling
 
 from kvision.augmentation.engine.call_context import CallContext
 from kvision.augmentation.engine.execution import Shape, matrix_type
+from kvision.augmentation.engine.label_settings import MaskReading
 from kvision.augmentation.engine.parts import Parts
 from kvision.augmentation.engine.passes import Alone, Joined, Running, plan_steps
 from kvision.augmentation.engine.record import Child, Record
 from kvision.augmentation.engine.runs import replayed
 from kvision.augmentation.engine.stages import Chain, Stage
+from kvision.augmentation.lists.masks import checked_masks, move_masks
 
 
 class ListParts(Parts):
@@ -60,6 +62,24 @@ class ListParts(Parts):
         samples, run = next(run for run in self._runs if i in run[0])
         record = run.record([samples.index(i)])
         return record.children, record.stages.stages
+
+    def moved_masks(self, masks: Any, reading: MaskReading) -> list[Tensor] | None:
+        """Masks (N, h, w) of each image by the launches of a batch; None where they follow the calls of the parts."""
+        sides = [0] * (2 * self.count)
+        for samples, run in self._runs:
+            for place, i in enumerate(samples):
+                sides[2 * i : 2 * i + 2] = run.sides[2 * place : 2 * place + 2]
+        given = checked_masks(masks, sides)
+        if given is None:
+            return None
+        moved = list(given)
+        for samples, run in self._runs:
+            own = move_masks([given[i] for i in samples], run, reading)
+            if own is None:
+                return None
+            for i, mask in zip(samples, own):
+                moved[i] = mask
+        return moved
 
     def of_child(self, number: int) -> ListParts:
         """The calls of an augmentation of the runs."""

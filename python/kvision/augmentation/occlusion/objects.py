@@ -17,6 +17,7 @@ from kvision.augmentation.engine import Execution, Params, check_images
 from kvision.augmentation.erase import erase_marked_list
 from kvision.augmentation.keys import Seed
 from kvision.augmentation.labels import masks_as_batch
+from kvision.augmentation.lists.masks import filled_masks
 from kvision.augmentation.lists.sides import rows_on_device
 from kvision.augmentation.occlusion.dropout_base import DropoutBase
 from kvision.augmentation.random_generator.mapped import MappedGenerator
@@ -197,6 +198,11 @@ class MaskDropout(DropoutBase, keeps_contract=True):
                 dropped = dropped & execution.chosen[:, None, None, None]
         execution.found = self._found(dropped)
         return dropped
+
+    def _move_mask_list(self, masks: list[Tensor], found: Tensor | None, fill: Any) -> list[Tensor] | None:
+        if self.fill_mask is None or found is None:
+            return masks
+        return filled_masks(masks, found, self.fill_mask if fill is None else fill)
 
     def _operates_on(self, dtype: torch.dtype) -> bool:
         return not isinstance(self.fill, str) and not self._is_customized()

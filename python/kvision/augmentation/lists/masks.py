@@ -1,0 +1,86 @@
+"""Masks of the images of a list, changed by the launches of a batch: of calls that do not move them image by image."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from kvision._dtype import as_dtype, compute_dtype
+from kvision.augmentation.erase import erase_marked_list
+from kvision.augmentation.maps import exact, warp_each
+from kvision.augmentation.transforms import transform_matrix
+
+# What a kernel that copies values takes masks of other types for; those of uint8 and of floating point are themselves.
+_SAME_BITS = {torch.bool: torch.uint8, torch.int8: torch.uint8, torch.int32: torch.float32, torch.int64: torch.float64}
+
+
+def checked_masks(masks: Any, sides: Sequence[int]) -> list[Tensor] | None:
+    """Masks (N, H, W) or (H, W) of images of these sizes as (N, H, W); None if they are not of one N, type and device."""
+    if not isinstance(masks, (list, tuple)) or 2 * len(masks) != len(sides) or {*map(type, masks)} != {Tensor}:
+        return None
+    if len({(m.dtype, m.device, m.shape[:-2]) for m in masks}) > 1 or masks[0].dim() not in (2, 3):
+        return None
+    if [n for m in masks for n in m.shape[-2:]] != list(sides) or 0 in masks[0].shape:
+        return None
+    return [m if m.dim() == 3 else m[None] for m in masks]
+
+
+def filled_masks(masks: list[Tensor], marks: Tensor, value: float) -> list[Tensor] | None:
+    """Masks (N, H, W) with a value at marks (B, 1, H, W) bool, of the largest sides; None if no kernel copies their type."""
+    first = masks[0]
+    kind = first.dtype if first.is_floating_point() else _SAME_BITS.get(first.dtype, torch.uint8)
+    if first.device != marks.device or kind.itemsize != first.dtype.itemsize:
+        return None
+    fill = torch.full((1, 1), value, dtype=first.dtype, device=first.device).view(kind)
+    values = masks if kind == first.dtype else [m.view(kind) for m in masks]
+    filled = erase_marked_list(values, marks.view(torch.uint8), as_dtype(fill, compute_dtype(values[0])))
+    return [m.view(first.dtype) for m in filled] if kind != first.dtype else list(filled)
+
+
+def warped_masks(masks: list[Tensor], matrix: Tensor, size: Sequence[int], resampling: Any) -> list[Tensor]:
+    """Masks (N, H, W) warped by matrices (B, 3, 3), to the height and width of each."""
+    first = masks[0]
+    is_bits = first.dtype == torch.bool and resampling.mode == "nearest" and resampling.fill is None
+    values = [m.view(torch.uint8) if is_bits else exact(m) for m in masks]
+    moved = warp_each(values, matrix, size, resampling)
+    moved = [moved[0][0]] if moved[0].dim() == 4 else moved  # of a list of one image
+    return [m.view(torch.bool) if is_bits else as_dtype(m, first.dtype) for m in moved]
+
+
+def move_masks(masks: list[Tensor], run: Any, reading: Any) -> list[Tensor] | None:
+    """Masks (N, H, W) after a run on a list, as containers read them; None where the calls of parts move them."""
+    modules, plan, joined = run.modules, run.plan, set[int]()
+    if plan.sized.own < len(modules) or any(m._is_overridden("apply_transform_mask") for m in modules):
+        return None
+    for step in plan.run.steps:
+        numbers = getattr(step, "geometric", None)
+        if not numbers:
+            continue
+        joined.update(numbers)
+        resampling = step.resampling
+        if len(numbers) == 1:  # which reads them by its own rule
+            module = modules[numbers[0]]
+            if not getattr(module, "_warps_masks", False):
+                return None
+            resampling = module.resampling(module.flags)
+        like = run.like
+        dtype = compute_dtype(like)
+        columns = like.new_empty(len(masks), 0, dtype=dtype) if run.columns is None else as_dtype(run.columns, dtype)
+        matrix, own = transform_matrix(columns, step.chain), resampling.for_labels(reading.mode, reading.fill)
+        size = plan.sized.sizes_after(numbers, masks) if plan.sized.changes(numbers) else _sides(masks)
+        masks = warped_masks(masks, matrix, size, own)
+    for number, (module, call) in enumerate(zip(modules, plan.run.calls)):
+        if number in joined or not call.applies or not module._moves_labels:
+            continue
+        moved = module._move_mask_list(masks, run.found, reading.fill)
+        if moved is None:
+            return None
+        masks = moved
+    return masks
+
+
+def _sides(masks: Sequence[Tensor]) -> list[int]:
+    return [n for m in masks for n in m.shape[-2:]]

@@ -1,0 +1,97 @@
+"""Masks of lists of images: by the launches of a batch they become what those of each image become alone."""
+
+import warnings
+
+import pytest
+import torch
+
+from augmentation.container.test_list_launches import Launches
+from augmentation.test_lists import SIZES, pictures, seeds_of
+from kvision import augmentation as A
+
+AUGMENTATIONS = {
+    "colors": lambda: [A.ColorJitter(0.2, 0.2, p=1.0)],
+    "flip": lambda: [A.RandomHorizontalFlip()],
+    "rotation": lambda: [A.RandomRotation(30.0, p=0.7)],
+    "affine, border": lambda: [A.RandomAffine(20.0, (0.1, 0.1), padding_mode="border", p=1.0)],
+    "perspective": lambda: [A.RandomPerspective(p=1.0)],
+    "transpose": lambda: [A.Transpose(p=1.0)],
+    "transpose some": lambda: [A.Transpose()],
+    "chain": lambda: [A.RandomVerticalFlip(), A.RandomAffine(20.0), A.ColorJitter(0.2, 0.2), A.Transpose(p=1.0)],
+    "applied to some": lambda: [A.RandomRotation(30.0, p=1.0, p_batch=0.5), A.RandomHorizontalFlip()],
+    "objects": lambda: [A.MaskDropout((1, 9), 0.5, p=0.7)],
+    "objects, masks kept": lambda: [A.MaskDropout((1, 9), 0.5, fill_mask=None, p=0.7)],
+    "objects, another value": lambda: [A.MaskDropout((1, 9), 0.5, fill_mask=-1.0, p=0.7)],
+}
+TYPES = (torch.uint8, torch.bool, torch.int8, torch.int16, torch.int32, torch.int64, torch.float32, torch.float16)
+READINGS = {"default": {}, "fill": {"mask": {"fill_value": 1}}, "mode": {"mask": {"resample": "bilinear"}}}
+
+
+def masks_of(images, dtype, number=1):
+    """Some of the integers have bits that are NaN as floating-point numbers."""
+    masks = []
+    for i, x in enumerate(images):
+        own = (torch.rand(number, *x.shape[1:]) < 0.3) * (1 + i % 3)
+        masks.append((own if dtype == torch.uint8 else own * (-1) ** i).to(dtype).to(x.device))
+    return masks
+
+
+@pytest.mark.parametrize("reading", READINGS)
+@pytest.mark.parametrize("dtype", TYPES, ids=str)
+@pytest.mark.parametrize("name", AUGMENTATIONS)
+def test_masks_follow_as_alone(name, dtype, reading, device):
+    if dtype == torch.uint8 and "another" in name:
+        pytest.skip("bytes have no such value")
+    images, augmentations = pictures(device), AUGMENTATIONS[name]()
+    augment = A.AugmentationSequential(*augmentations, data_keys=["input", "mask"], extra_args=READINGS[reading])
+    masks, seeds = masks_of(images, dtype, 1 + ("objects" not in name)), seeds_of(images)
+    given = [m.clone() for m in masks]
+    _, moved = augment(images, masks, seed=seeds)
+    assert all(map(torch.equal, masks, given))
+    for b, (x, mask) in enumerate(zip(images, masks)):
+        _, own = augment(x[None], mask[None], seed=seeds[b : b + 1])
+        assert moved[b].dtype == dtype and torch.equal(moved[b], own[0])
+
+
+@pytest.mark.parametrize("dtype", [torch.uint8, torch.bool, torch.float32], ids=str)
+@pytest.mark.parametrize("name", [name for name in AUGMENTATIONS if "some" not in name and "value" not in name])
+def test_launches_do_not_depend_on_the_number_of_masks(name, dtype, backend):
+    if backend == "reference":
+        pytest.skip("this test is about the kernels")
+    augment, counts = A.AugmentationSequential(*AUGMENTATIONS[name](), data_keys=["input", "mask"]), []
+    images = pictures("cpu", SIZES * 2)
+    masks = masks_of(images, dtype)
+    for count in (3, 3, len(images)):  # the first one makes constants
+        with Launches() as counted:
+            augment(images[:count], masks[:count], seed=0)
+        counts.append(counted.count)
+    assert counts[2] <= counts[1]
+
+
+def test_masks_without_channels_get_one(device):
+    images = pictures(device)
+    masks = [m[0] for m in masks_of(images, torch.uint8)]
+    augment = A.AugmentationSequential(A.RandomRotation(30.0, p=1.0), data_keys=["input", "mask"])
+    _, moved = augment(images, masks, seed=3)
+    _, expected = augment(images, [m[None] for m in masks], seed=3)
+    assert all(map(torch.equal, moved, expected)) and moved[0].dim() == 3
+
+
+def test_masks_that_do_not_fit_are_named():
+    images = pictures("cpu")
+    augment = A.AugmentationSequential(A.RandomRotation(30.0), data_keys=["input", "mask"])
+    masks = masks_of(images, torch.uint8)
+    for given in (masks[:2], masks[::-1]):
+        with pytest.raises(ValueError, match="mask"):
+            augment(images, given)
+
+
+def test_masks_of_several_types_and_numbers_follow_one_by_one(device):
+    images, seeds = pictures(device), seeds_of(pictures(device))
+    masks = [m.repeat(i, 1, 1) for i, m in enumerate(masks_of(images, torch.uint8))]
+    augment = A.AugmentationSequential(A.RandomRotation(30.0, p=1.0), data_keys=["input", "mask"])
+    _, moved = augment(images, masks, seed=seeds)
+    for b, (x, mask) in enumerate(zip(images, masks)):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            assert torch.equal(moved[b], augment(x[None], [mask], seed=seeds[b : b + 1])[1][0])

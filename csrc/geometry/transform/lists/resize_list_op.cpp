@@ -1,6 +1,9 @@
 // Resizing of lists of images of different sizes: schemas and entries, for CPU and CUDA.
 #include "geometry/transform/lists/list_glue.h"
 #include "geometry/transform/lists/resize_list.h"
+#if defined(KV_CUDA)
+#include "geometry/transform/lists/resize_windows_list_glue.h"
+#endif
 
 namespace kv::geometry {
 namespace {
@@ -8,6 +11,11 @@ namespace {
 // From images to results of these sizes, or from the gradients of results to those of images.
 Tensors resized_list(char const* op, Tensors const& inputs, std::vector<int64_t> const& sides, int64_t filter,
                      bool align_corners, bool antialias, bool backward) {
+#if defined(KV_CUDA)
+  // Which compute weights once for a tile, where pixels have more than two taps.
+  if (antialias && filter >= int64_t(ResizeFilter::bilinear))
+    return windows_resized(op, inputs, {}, sides, filter, align_corners, backward);
+#endif
   ListResizing const call(op, inputs, sides, backward);
   KV_CHECK(filter >= int64_t(ResizeFilter::nearest) && filter <= int64_t(ResizeFilter::lanczos), op,
            ": filter must be 0 (nearest), 1 (nearest-exact), 2 (area), 3 (bilinear), 4 (bicubic) or 5 (lanczos), got ",

@@ -52,7 +52,15 @@ int64_t divide(ResizeWindowsList<T>& p, BlocksOf blocks_of) {
   return blocks <= INT32_MAX ? blocks : 0;
 }
 
-// A batch with the largest sides of all samples, whose tiles serve each of them.
+// The size of an image of which a result with `most` pixels reads as many for each as one with `result` pixels does.
+inline int64_t stretched(int64_t source, int64_t result, int64_t most, bool align_corners) {
+  if (!align_corners) return ceil_div(source * most, result);
+  return result > 1 ? ceil_div((source - 1) * (most - 1), result - 1) + 1 : source;
+}
+// Coordinates of a tile have 32 bits.
+inline bool fits_coordinates(int64_t source, int64_t result) { return source * result <= INT32_MAX / 4; }
+
+// A batch with the largest sides and the most taps of all samples, whose tiles serve each of them.
 template <class T>
 ResizeWindows<T> largest_of(ResizeWindowsList<T> const& p, bool& fits, bool& near) {
   ResizeWindows<T> largest = sample_at(p, 0);
@@ -61,10 +69,19 @@ ResizeWindows<T> largest_of(ResizeWindowsList<T> const& p, bool& fits, bool& nea
     ResizeWindows<T> const one = sample_at(p, b);
     fits = fits && fits_tiles(one.x) && fits_tiles(one.y);
     near = near && has_near_planes(one.x) && has_near_planes(one.y);
+    fits = fits && fits_coordinates(one.x.height, one.y.height) && fits_coordinates(one.x.width, one.y.width);
     largest.x.height = max(largest.x.height, one.x.height);
     largest.x.width = max(largest.x.width, one.x.width);
     largest.y.height = max(largest.y.height, one.y.height);
     largest.y.width = max(largest.y.width, one.y.width);
+  }
+  for (int b = 0; b < p.list.count && fits && !p.all.backward; ++b) {
+    ResizeWindows<T> const one = sample_at(p, b);
+    int64_t const height = stretched(one.x.height, one.y.height, largest.y.height, p.all.align_corners);
+    int64_t const width = stretched(one.x.width, one.y.width, largest.y.width, p.all.align_corners);
+    largest.x.height = max(largest.x.height, height);
+    largest.x.width = max(largest.x.width, width);
+    fits = fits && fits_coordinates(height, largest.y.height) && fits_coordinates(width, largest.y.width);
   }
   largest.y.outer *= p.list.count;
   return largest;

@@ -1,5 +1,5 @@
-// Antialiased resizing of a window of each image of a list: a sample of a list is a batch of one, for which the kernels
-// of resize_windows.h are run.
+// Antialiased resizing of a window of each image of a list, or of all of it: a sample of a list is a batch of one, for
+// which the kernels of resize_windows.h are run.
 #pragma once
 
 #include "geometry/transform/lists/resize_list.h"
@@ -21,7 +21,7 @@ KV_HD ResizeWindows<T> sample_at(ResizeWindowsList<T> const& p, int b) {
   one.x = planes_of(images_of<T>(p.list.images[b], p.channels), p.list.interleaved);
   one.y = planes_of(images_of<T>(p.list.results[b], p.channels, p.list.interleaved), p.list.interleaved);
   one.planes = one.x.outer;
-  one.matrices += b * p.all.matrix_stride;
+  if (one.matrices) one.matrices += b * p.all.matrix_stride;
   return one;
 }
 

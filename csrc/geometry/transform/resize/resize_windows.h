@@ -2,8 +2,8 @@
 // resize.h, along axes that begin at the window's first pixel. Pixels around the window are not read.
 //
 // The window of a sample is what its matrix, from pixels of the image to pixels of the result, maps to the result. It
-// is rounded to whole pixels. A negative scale mirrors the result. Where there are several views of each image, sample
-// s is view s / images of image s % images, and boxes say what the windows are.
+// is rounded to whole pixels. A negative scale mirrors the result. Without matrices it is the whole image. Where there
+// are several views of each image, sample s is view s / images of image s % images, and boxes say what the windows are.
 #pragma once
 
 #include "core/window.h"
@@ -57,6 +57,7 @@ KV_HD Window ResizeWindows<T>::window(int64_t sample, int axis) const {
     int const first = round_within(double(box[axis]), 0, source(axis) - 1);
     return {first, round_within(double(box[2 + axis]), 1, source(axis) - first), false};
   }
+  if (!matrices) return {0, source(axis), false};
   Compute<T> const* const m = matrices + sample * matrix_stride;
   return window_of(double(m[4 * axis]), double(m[3 * axis + 2]), source(axis), result(axis), align_corners);
 }

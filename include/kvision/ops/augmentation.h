@@ -34,19 +34,6 @@ inline constexpr Operator<"choose_operations", Two(Tensor columns, Tensor table,
 inline constexpr Operator<"disk_kernels", Tensor(Tensor deviations, Tensor radii, int64_t largest)> disk_kernels{
     no_gradient};
 
-// --- augmentation/corruption/drawn_layers_op.cpp
-
-inline constexpr Operator<
-    "spatter_layers", Two(Tensor identity, Tensor standard, Tensor keys, OptionalTensor seeds, OptionalTensor chosen,
-                          Ints plan, Ints sides, OptionalTensor sigma, int64_t ky, int64_t kx, double sigma_y,
-                          double sigma_x, Tensor parameters, bool is_rain, OptionalTensor soft_sigma, int64_t soft_ky,
-                          int64_t soft_kx, double soft_sigma_y, double soft_sigma_x)>
-    spatter_layers{no_gradient};
-inline constexpr Operator<"blurred_maps",
-                          Tensor(Tensor parameters, Tensor keys, OptionalTensor seeds, OptionalTensor chosen, Ints plan,
-                                 Ints sides, double sigma, int64_t border)>
-    blurred_maps{no_gradient};
-
 // --- augmentation/corruption/drops_op.cpp
 
 inline constexpr Operator<"drop_depths", Tensor(Tensor layers, Tensor parameters)> drop_depths{non_differentiable};
@@ -138,6 +125,19 @@ inline constexpr Operator<"erase_rectangles", Tensor(Tensor images, Tensor boxes
     detail::rules::erase_rectangles};
 inline constexpr Operator<"erase_grid", Tensor(Tensor images, Tensor grids, Tensor values)> erase_grid{
     detail::rules::erase_grid};
+
+// --- augmentation/lists/drawn_layers_op.cpp
+
+inline constexpr Operator<
+    "spatter_layers", Two(Tensor identity, Tensor standard, Tensor keys, OptionalTensor seeds, OptionalTensor chosen,
+                          Ints plan, Ints sides, OptionalTensor sigma, int64_t ky, int64_t kx, double sigma_y,
+                          double sigma_x, Tensor parameters, bool is_rain, OptionalTensor soft_sigma, int64_t soft_ky,
+                          int64_t soft_kx, double soft_sigma_y, double soft_sigma_x)>
+    spatter_layers{no_gradient};
+inline constexpr Operator<"blurred_maps",
+                          Tensor(Tensor parameters, Tensor keys, OptionalTensor seeds, OptionalTensor chosen, Ints plan,
+                                 Ints sides, double sigma, int64_t border)>
+    blurred_maps{no_gradient};
 
 // --- augmentation/mixing/pieces_op.cpp
 

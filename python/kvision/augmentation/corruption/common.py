@@ -262,7 +262,7 @@ class Displaced(NamedTuple):
         y = maps.read_displaced_list(images, self.displacements, _MIRRORED)
         if y[0].dtype == torch.uint8:
             return y
-        nothing = y[0].new_zeros((), dtype=compute_dtype(y[0])).expand(1, 1, *largest_shape(images)[2:])
+        nothing = constant(((((0.0,),),),), y[0], compute_dtype(y[0])).expand(-1, -1, *largest_shape(images)[2:])
         return layered(nothing, 1.0, 0.0, 0.0, 0.0).on_list(y, chosen)
 
 

@@ -376,7 +376,7 @@ def muddy(
     Parameters (B or 1, 3) are mean and deviation of the noise, and the threshold.
     """
     stains, _ = _layers(noise, smoothing, parameters, softening)
-    return layered(torch.where(stains < 0.8, 0, stains), 1.0, -1.0, _colored(color, like, stains), 0.0)
+    return layered(torch.nn.functional.threshold(stains, 0.8, 0), 1.0, -1.0, _colored(color, like, stains), 0.0)
 
 
 def rainy(

@@ -21,11 +21,13 @@ namespace {
 static_assert(kDerivativeBorder == Border::replicate, "the derivatives below replicate");
 
 constexpr int R = kWindowReach, kTaps = 2 * R + 1, P = kColumns;
-constexpr int kReach = 4, kReachOfGradients = 8;       // columns of a block that are incomplete on either side
-constexpr int kDelay = R + 1, kDelayOfGradients = 10;  // rows from the derivatives to the result
-constexpr int kBlocks = 6, kBlocksOfGradients = 3;     // of a multiprocessor
-constexpr int kUnroll = 2;                             // so that registers of rows are renamed, not moved
-constexpr int kKept = 9;                               // rows of derivatives that the second pass reads later
+constexpr int kReach = 4, kReachOfGradients = 8;          // columns of a block that are incomplete on either side
+constexpr int kDelay = R + 1, kDelayOfGradients = 10;     // rows from the derivatives to the result
+constexpr int kBlocks = 6, kBlocksOfGradients = 3;        // of a multiprocessor
+constexpr int kUnroll = 2;                                // so that registers of rows are renamed, not moved
+constexpr int kRowsOfTensors = kCornerGradientReach + 1;  // that the first pass of the gradient takes below a block
+constexpr int kAhead = 8;                                 // rows of the first pass before the second one begins
+constexpr int kKept = 9;                                  // rows of derivatives that the second pass reads later
 
 // The running sums along y of a thread's columns, for the 2 R rows that are incomplete; a new row completes the first.
 template <class F>
@@ -62,8 +64,8 @@ __device__ __forceinline__ void sum_across(F const* line, int at, F (&sums)[P]) 
 template <class F, bool Vectors, bool Common>
 struct Derivatives {
   Columns<F, Vectors, Common> const columns;
-  F above[P + 2], middle[P + 2];  // the two rows before the next one
-  F next[P + 2];                  // a row that was read ahead
+  F above[P + 2] = {}, middle[P + 2] = {};  // the two rows before the next one
+  F next[P + 2] = {};                       // a row that was read ahead, without the border
 
   // The first row is `y`.
   __device__ __forceinline__ Derivatives(Work<F> const& work, ColumnPosition const& position, int y)
@@ -71,17 +73,19 @@ struct Derivatives {
     columns.read(row(y - 1), above);
     columns.read(row(y), middle);
     columns.read(row(y + 1), next);
+    columns.replicate(above), columns.replicate(middle);
   }
   __device__ __forceinline__ int height() const { return int(columns.work.x.height); }
   __device__ __forceinline__ int row(int y) const { return y >= 0 && y < height() ? y : reflected(y, height()); }
 
-  // The derivatives of row y. Calls are in the order of rows. Reads a row ahead if `more`.
-  __device__ __forceinline__ void advance(int y, bool more, F (&dx)[P], F (&dy)[P]) {
+  // The derivatives of row y. Calls are in the order of rows. Reads a row ahead.
+  __device__ __forceinline__ void advance(int y, F (&dx)[P], F (&dy)[P]) {
     bool const sobel = Common || columns.work.arguments.sobel;
     F below[P + 2];
 #pragma unroll
     for (int i = 0; i < P + 2; ++i) below[i] = next[i];
-    if (more) columns.read(row(y + 2), next);
+    columns.replicate(below);
+    columns.read(row(y + 2), next);
     auto const differentiate = [&](F const(&a)[P + 2], F const(&b)[P + 2], F const(&c)[P + 2]) {
       GradientColumn<F> column_sums[P + 2];
 #pragma unroll
@@ -104,19 +108,33 @@ struct Derivatives {
   }
 };
 
-// Adds the products of derivatives to the running sums, and writes the row of sums that they complete if `writes`.
-template <class F, bool Vectors>
-__device__ __forceinline__ void add_products(ColumnPosition const& position, bool writes, F const (&dx)[P],
-                                             F const (&dy)[P], RunningSums<F>& down, Lines<F, 3>& lines) {
+// The structure tensor in shared memory, or its gradient.
+template <class F>
+using Tensors = Lines<F, 3>;
+
+template <class F>
+__device__ __forceinline__ void write_tensors(Tensors<F>& lines, int at, F const (&v)[3][P]) {
+#pragma unroll
+  for (int m = 0; m < 3; ++m) write_vector(lines.values[m], at, v[m]);
+}
+
+// Adds the products of derivatives to the running sums, and writes the row of sums that they complete.
+template <class F>
+__device__ __forceinline__ void add_products(int at, F const (&dx)[P], F const (&dy)[P], RunningSums<F>& down,
+                                             Tensors<F>& lines) {
   F products[3][P], complete[3][P];
 #pragma unroll
   for (int j = 0; j < P; ++j)
     products[0][j] = dx[j] * dx[j], products[1][j] = dy[j] * dy[j], products[2][j] = dx[j] * dy[j];
 #pragma unroll
   for (int m = 0; m < 3; ++m) down.add(m, products[m], complete[m]);
-  if (!writes) return;
-#pragma unroll
-  for (int m = 0; m < 3; ++m) write_reflected<R, Vectors>(position, lines.values[m], complete[m]);
+  write_tensors(lines, at, complete);
+}
+
+// The barriers of `count` rows that only the other pass has.
+__device__ __forceinline__ void synchronize_rows(int count) {
+#pragma unroll 1
+  for (int i = 0; i < count; ++i) synchronize_block();
 }
 
 // The factor by which unscaled derivatives change the response.
@@ -129,10 +147,11 @@ __device__ __forceinline__ F derivative_factor(bool sobel, bool is_harris) {
 // Common: images of float32 and Sobel filters, as constants.
 template <class F, bool Vectors, bool Common>
 __global__ void __launch_bounds__(kColumnThreads<F>, kBlocks) corner_forward(__grid_constant__ Work<F> const work) {
-  __shared__ Lines<F, 3> lines[2];
+  __shared__ Tensors<F> lines[2];
   ColumnPosition const position(work, kReach, int(blockDim.x), int(threadIdx.x));
   Columns<F, Vectors, Common> const columns(work, work.result, position);
   Derivatives<F, Vectors, Common> derivatives(work, position, position.y0 - R);
+  ReflectedColumns<F, 3, R> const ends(position);
   RunningSums<F> down;
   bool const is_harris = work.arguments.kind == CornerKind::harris, writes = position.owns_some();
   F const k = work.arguments.k_of(position.plane);
@@ -141,11 +160,11 @@ __global__ void __launch_bounds__(kColumnThreads<F>, kBlocks) corner_forward(__g
   int now = 0;
 #pragma unroll kUnroll
   for (int y = position.y0 - R; y < position.y1 + kDelay; ++y, now ^= 1) {
-    // Only loads and stores are conditional: where rows and sums were, branches would move their registers.
-    bool const has_pixels = y < position.y1 + R && position.x < position.width;
+    // Nothing that changes rows and sums is conditional: branches would move their registers.
     F dx[P], dy[P];
-    derivatives.advance(y, has_pixels, dx, dy);
-    add_products<F, Vectors>(position, has_pixels, dx, dy, down, lines[now]);
+    derivatives.advance(y, dx, dy);
+    add_products(position.at, dx, dy, down, lines[now]);
+    ends.fill(lines[now ^ 1]);
     int const row = y - kDelay;
     if (row >= position.y0 && writes) {
       F sums[3][P], result[P];
@@ -165,15 +184,14 @@ __global__ void __launch_bounds__(kColumnThreads<F>, kBlocks) corner_forward(__g
 template <class F, bool Vectors, bool Common>
 __global__ void __launch_bounds__(2 * kColumnThreads<F>, kBlocksOfGradients)
     corner_backward(__grid_constant__ Work<F> const work) {
-  __shared__ Lines<F, 3> products[2], gradients[2];
+  __shared__ Tensors<F> products[2], gradients[2];
   __shared__ Lines<F, 2> kept[kKept], back[2];  // dx and dy; u and v
   int const threads = int(blockDim.x) / 2;
   bool const is_first_half = int(threadIdx.x) < threads;
   ColumnPosition const position(work, kReachOfGradients, threads, int(threadIdx.x) - (is_first_half ? 0 : threads));
   bool const is_harris = work.arguments.kind == CornerKind::harris, sobel = Common || work.arguments.sobel;
-  int const height = position.height, width = position.width, first = position.y0 - kCornerGradientReach,
-            end = position.y1 + kDelayOfGradients;
-  bool const has_columns = position.x < width;
+  int const height = position.height, width = position.width, first = position.y0 - kCornerGradientReach;
+  ReflectedColumns<F, 3, R> const ends(position);
   int now = 0, slot = 0;
 
   if (is_first_half) {
@@ -183,16 +201,17 @@ __global__ void __launch_bounds__(2 * kColumnThreads<F>, kBlocksOfGradients)
     F const k = work.arguments.k_of(position.plane);
     F const scale = work.arguments.scale_of(position.plane) * derivative_factor<F>(sobel, is_harris);
 #pragma unroll kUnroll
-    for (int y = first; y < end; ++y, now ^= 1, slot = slot + 1 == kKept ? 0 : slot + 1) {
-      if (has_columns && y < position.y1 + kCornerGradientReach + 1) {
+    for (int y = first; y < position.y1 + kDelayOfGradients; ++y, now ^= 1, slot = slot + 1 == kKept ? 0 : slot + 1) {
+      if (y < position.y1 + kRowsOfTensors) {
         int const row = derivatives.row(y - kDelay);
         F grad[P];
         grads.read(row, grad);
         F dx[P], dy[P];
-        derivatives.advance(y, true, dx, dy);
-        add_products<F, Vectors>(position, true, dx, dy, down, products[now]);
+        derivatives.advance(y, dx, dy);
+        add_products(position.at, dx, dy, down, products[now]);
         write_vector(kept[slot].values[0], position.at, dx);
         write_vector(kept[slot].values[1], position.at, dy);
+        ends.fill(products[now ^ 1]);
         F sums[3][P], result[3][P];
 #pragma unroll
         for (int m = 0; m < 3; ++m) sum_across(products[now ^ 1].values[m], position.at, sums[m]);
@@ -211,65 +230,66 @@ __global__ void __launch_bounds__(2 * kColumnThreads<F>, kBlocksOfGradients)
           }
           result[0][j] = grad_tensor.xx, result[1][j] = grad_tensor.yy, result[2][j] = grad_tensor.xy;
         }
-#pragma unroll
-        for (int m = 0; m < 3; ++m) write_reflected<R, Vectors>(position, gradients[now].values[m], result[m]);
+        write_tensors(gradients[now], position.at, result);
       }
       synchronize_block();
     }
     return;
   }
 
+  synchronize_rows(kAhead);
+  now = kAhead % 2, slot = kAhead % kKept;
   Columns<F, Vectors, Common> const columns(work, work.result, position);
   RunningSums<F> down;
   GradientRow<F> above[P] = {}, middle[P] = {};
   F u[P] = {}, v[P] = {};
 #pragma unroll kUnroll
-  for (int y = first; y < end; ++y, now ^= 1, slot = slot + 1 == kKept ? 0 : slot + 1) {
-    if (has_columns && y - kDelay - 1 >= position.y0 - kDelay) {
-      // The gradient of the derivatives of the previous row. u and v of adjacent threads are in shared memory.
-      F const *const u_line = back[now ^ 1].values[0] + kPad + position.at, *const v_line = back[now ^ 1].values[1] +
-                                                                                            kPad + position.at;
-      F around_u[P + 2], around_v[P + 2], result[P];
-      around_u[0] = u_line[-1], around_u[P + 1] = u_line[P], around_v[0] = v_line[-1], around_v[P + 1] = v_line[P];
+  for (int y = first + kAhead; y < position.y1 + kDelayOfGradients;
+       ++y, now ^= 1, slot = slot + 1 == kKept ? 0 : slot + 1) {
+    ends.fill(gradients[now ^ 1]);
+    // The gradient of the derivatives of the previous row. u and v of adjacent threads are in shared memory.
+    F const *const u_line = back[now ^ 1].values[0] + kPad + position.at, *const v_line = back[now ^ 1].values[1] +
+                                                                                          kPad + position.at;
+    F around_u[P + 2], around_v[P + 2], result[P];
+    around_u[0] = u_line[-1], around_u[P + 1] = u_line[P], around_v[0] = v_line[-1], around_v[P + 1] = v_line[P];
 #pragma unroll
-      for (int j = 0; j < P; ++j) around_u[j + 1] = u[j], around_v[j + 1] = v[j];
-      if (position.x == 0) around_u[0] = -u[0], around_v[0] = v[0];
+    for (int j = 0; j < P; ++j) around_u[j + 1] = u[j], around_v[j + 1] = v[j];
+    if (position.x == 0) around_u[0] = -u[0], around_v[0] = v[0];
 #pragma unroll
-      for (int j = Vectors ? P - 1 : 0; j < P; ++j)
-        if (position.x + j == width - 1) around_u[j + 2] = -u[j], around_v[j + 2] = v[j];
-      int const row = y - kDelayOfGradients;
+    for (int j = Vectors ? P - 1 : 0; j < P; ++j)
+      if (position.x + j == width - 1) around_u[j + 2] = -u[j], around_v[j + 2] = v[j];
+    int const row = y - kDelayOfGradients;
 #pragma unroll
-      for (int j = 0; j < P; ++j) {
-        GradientRow<F> const below =
-            gradient_row_vjp(around_u[j], around_u[j + 2], around_v[j], around_v[j + 1], around_v[j + 2], sobel);
-        result[j] = gradient_vjp(row == 0 ? row_out_of_bounds(middle[j]) : above[j], middle[j],
-                                 row == height - 1 ? row_out_of_bounds(middle[j]) : below, sobel, F(1));
-        above[j] = middle[j], middle[j] = below;
-      }
-      if (row >= position.y0 && row < position.y1) columns.write(position, row, result);
-
-      F grad_products[3][P];
-#pragma unroll
-      for (int m = 0; m < 3; ++m) {
-        F sums[P];
-        sum_across(gradients[now ^ 1].values[m], position.at, sums);
-        down.add(m, sums, grad_products[m]);
-      }
-      // The ring holds rows y - 8 to y, so row y - 8 is in the slot after that of row y.
-      Lines<F, 2> const& derivatives = kept[slot + 1 == kKept ? 0 : slot + 1];
-      F dx[P], dy[P];
-      read_vector(derivatives.values[0], position.at, dx);
-      read_vector(derivatives.values[1], position.at, dy);
-      F const row_factor = end_factor(y - kDelay - 1 - R, height, F(0.5));
-#pragma unroll
-      for (int j = 0; j < P; ++j) {
-        F const factor = row_factor * end_factor(position.x + j, width, F(0.5));
-        u[j] = (2 * dx[j] * grad_products[0][j] + dy[j] * grad_products[2][j]) * factor;
-        v[j] = (2 * dy[j] * grad_products[1][j] + dx[j] * grad_products[2][j]) * factor;
-      }
-      write_vector(back[now].values[0], position.at, u);
-      write_vector(back[now].values[1], position.at, v);
+    for (int j = 0; j < P; ++j) {
+      GradientRow<F> const below =
+          gradient_row_vjp(around_u[j], around_u[j + 2], around_v[j], around_v[j + 1], around_v[j + 2], sobel);
+      result[j] = gradient_vjp(row == 0 ? row_out_of_bounds(middle[j]) : above[j], middle[j],
+                               row == height - 1 ? row_out_of_bounds(middle[j]) : below, sobel, F(1));
+      above[j] = middle[j], middle[j] = below;
     }
+    if (row >= position.y0 && row < position.y1) columns.write(position, row, result);
+
+    F grad_products[3][P];
+#pragma unroll
+    for (int m = 0; m < 3; ++m) {
+      F sums[P];
+      sum_across(gradients[now ^ 1].values[m], position.at, sums);
+      down.add(m, sums, grad_products[m]);
+    }
+    // The ring holds rows y - 8 to y, so row y - 8 is in the slot after that of row y.
+    Lines<F, 2> const& derivatives = kept[slot + 1 == kKept ? 0 : slot + 1];
+    F dx[P], dy[P];
+    read_vector(derivatives.values[0], position.at, dx);
+    read_vector(derivatives.values[1], position.at, dy);
+    F const row_factor = end_factor(y - kDelay - 1 - R, height, F(0.5));
+#pragma unroll
+    for (int j = 0; j < P; ++j) {
+      F const factor = row_factor * end_factor(position.x + j, width, F(0.5));
+      u[j] = (2 * dx[j] * grad_products[0][j] + dy[j] * grad_products[2][j]) * factor;
+      v[j] = (2 * dy[j] * grad_products[1][j] + dx[j] * grad_products[2][j]) * factor;
+    }
+    write_vector(back[now].values[0], position.at, u);
+    write_vector(back[now].values[1], position.at, v);
     synchronize_block();
   }
 }

@@ -109,23 +109,27 @@ template <class F, bool Vectors, bool Single = false>
 struct Columns {
   Work<F> const& work;
   StoredPlanes const& planes;
-  int x;
-  bool are_inside;  // the columns of a warp and their neighbors, which are adjacent in memory
-  uint8_t* first;   // in row 0
+  int const x, last;  // the last pixel of a row is `last` pixels after pixel x
+  uint8_t* first;     // in row 0
 
-  // Called by all threads of a warp.
   __device__ __forceinline__ Columns(Work<F> const& work, StoredPlanes const& planes, ColumnPosition const& position)
-      : work(work), planes(planes), x(min(position.x, width() - (Vectors ? kColumns : 1))) {
-    are_inside =
-        !Vectors && __all_sync(0xffffffffu, x > 0 && x + kColumns < width()) && planes.step == size_of(work.stored);
+      : work(work), planes(planes), x(min(position.x, width() - (Vectors ? kColumns : 1))), last(width() - 1 - x) {
     first = planes.plane(position.plane) + x * planes.step;
   }
   __device__ __forceinline__ int width() const { return int(work.x.width); }
-  // N pixels of row `y`, which is in bounds: the thread's columns and (N - kColumns) / 2 on either side, with the
-  // replicate border.
+  // N pixels of row `y`, which is in bounds: the thread's columns and (N - kColumns) / 2 on either side. Those out of
+  // bounds keep their values until `replicate`, which would wait for the others.
   template <int N>
   __device__ __forceinline__ void read(int y, F (&values)[N]) const {
     with_type([&](auto type) { read_at<decltype(type)>(row(y), values); });
+  }
+  // Gives pixels out of bounds next to a row the values of the replicate border.
+  __device__ __forceinline__ void replicate(F (&values)[kColumns + 2]) const {
+    // By value: a selection between array elements would put the array into memory.
+    auto const copy_if = [](bool condition, F value, F& to) { to = condition ? value : to; };
+    copy_if(x == 0, values[1], values[0]);
+#pragma unroll
+    for (int j = Vectors ? kColumns - 1 : 0; j < kColumns; ++j) copy_if(j == last, values[j + 1], values[j + 2]);
   }
   // The thread's first pixel of row `y`.
   __device__ __forceinline__ uint8_t* row(int y) const { return first + y * planes.row_stride; }
@@ -137,6 +141,14 @@ struct Columns {
     else
       dispatch_floating_dtype<F>(work.stored, f);
   }
+  // Calls f with the function that gives the bytes from pixel x to the one that is `pixels` further.
+  template <class T, class Call>
+  __device__ __forceinline__ void with_distances(Call f) const {
+    if (planes.step == sizeof(T))
+      f([](int pixels) { return pixels * int(sizeof(T)); });
+    else
+      f([&](int pixels) { return pixels * planes.step; });
+  }
   template <class T, int N>
   __device__ __forceinline__ void read_at(uint8_t const* at, F (&values)[N]) const {
     constexpr int kBefore = (N - kColumns) / 2;
@@ -146,20 +158,16 @@ struct Columns {
       for (int j = 0; j < kColumns; ++j) values[kBefore + j] = kv::read(vector.v[j]);
       if constexpr (kBefore == 1) {
         T const* const pixels = reinterpret_cast<T const*>(at);
-        values[0] = kv::read(pixels[x > 0 ? -1 : 0]);
-        values[N - 1] = kv::read(pixels[x + kColumns < width() ? kColumns : kColumns - 1]);
+        if (x > 0) values[0] = kv::read(pixels[-1]);
+        if (last >= kColumns) values[N - 1] = kv::read(pixels[kColumns]);
       }
-    } else if (are_inside) {  // adjacent pixels at any address
-      T const* const pixels = reinterpret_cast<T const*>(at);
-#pragma unroll
-      for (int i = 0; i < N; ++i) values[i] = kv::read(pixels[i - kBefore]);
     } else {
-      int const ahead = width() - 1 - x;
+      with_distances<T>([&](auto distance) {
 #pragma unroll
-      for (int i = 0; i < N; ++i) {
-        int const from = i < kBefore ? max(i - kBefore, -x) : min(i - kBefore, ahead);
-        values[i] = kv::read(*reinterpret_cast<T const*>(at + from * planes.step));
-      }
+        for (int i = 0; i < N; ++i)
+          if (i < kBefore ? x > 0 : i - kBefore <= last)
+            values[i] = kv::read(*reinterpret_cast<T const*>(at + distance(i - kBefore)));
+      });
     }
   }
   // Writes the columns that the block owns.
@@ -168,16 +176,14 @@ struct Columns {
     with_type([&](auto type) {
       using T = decltype(type);
       if constexpr (Vectors) {
-        if (position.owns(x)) store_vector(reinterpret_cast<T*>(at), values);
-      } else if (are_inside) {
-        T* const pixels = reinterpret_cast<T*>(at);
-        if (position.owns(x))  // then it owns all four
-#pragma unroll
-          for (int j = 0; j < kColumns; ++j) pixels[j] = round_to<T>(values[j]);
+        if (position.owns(position.x)) store_vector(reinterpret_cast<T*>(at), values);
       } else {
+        int const owned = position.x < position.first ? 0 : position.last - position.x;  // it begins where threads do
+        with_distances<T>([&](auto distance) {
 #pragma unroll
-        for (int j = 0; j < kColumns; ++j)
-          if (position.owns(x + j)) *reinterpret_cast<T*>(at + j * planes.step) = round_to<T>(values[j]);
+          for (int j = 0; j < kColumns; ++j)
+            if (j < owned) *reinterpret_cast<T*>(at + distance(j)) = round_to<T>(values[j]);
+        });
       }
     });
   }
@@ -202,25 +208,32 @@ __device__ __forceinline__ void write_line(ColumnPosition const& position, F* li
   }
 }
 
-// Writes a thread's columns to a line, and to the columns out of bounds that reflect them.
-template <int Reach, bool Vectors, class F>
-__device__ __forceinline__ void write_reflected(ColumnPosition const& position, F* line, F const (&v)[kColumns]) {
-  static_assert(Reach < kColumns && Reach <= kPad);
-  int const x = position.x, last = position.width - 1;
-  F* const own = line + kPad + position.at;
-  write_line<Vectors>(position, line, v);
-#pragma unroll
-  for (int i = 1; i <= Reach; ++i) {
-    if (x == 0) own[-i] = v[i];
-    if (Vectors && x + kColumns - 1 == last) own[kColumns - 1 + i] = v[kColumns - 1 - i];
+// The columns of lines out of bounds that reflect others, as far as a warp reads them. A thread has one of them.
+template <class F, int M, int Reach>
+struct ReflectedColumns {
+  static_assert(2 * M * Reach <= 32 && Reach < kColumns);
+  bool exist;    // the same for all threads of the warp
+  int from, to;  // elements of lines, or negative
+
+  __device__ __forceinline__ explicit ReflectedColumns(ColumnPosition const& p) {
+    int const lane = threadIdx.x % 32, begin = p.at - kColumns * lane, last = p.width - 1 - p.left;
+    bool const has_first = p.left == 0 && begin == 0;
+    bool const has_last = last < p.columns && last >= begin && last - Reach < begin + 32 * kColumns;
+    bool const is_first = lane < M * Reach;
+    int const line = lane % M * (int(sizeof(Lines<F, M>) / sizeof(F)) / M) + kPad, d = lane / M % Reach + 1;
+    bool const copies = is_first ? has_first : has_last && lane < 2 * M * Reach;
+    exist = has_first || has_last;
+    from = copies ? line + (is_first ? d : last - d) : -1;
+    to = line + (is_first ? -d : last + d);
   }
-  if (!Vectors && x + kColumns - 1 + Reach >= last)
-#pragma unroll
-    for (int j = 0; j < kColumns; ++j) {
-      int const to = position.at + j + 2 * (last - x - j);
-      if (x + j < last && x + j + Reach >= last && to < position.columns + kPad) line[kPad + to] = v[j];
-    }
-}
+  // Fills them in, after the barrier behind the stores of all warps. Called by all threads of a warp.
+  __device__ __forceinline__ void fill(Lines<F, M>& lines) const {
+    if (!exist) return;
+    F* const elements = lines.values[0];
+    if (from >= 0) elements[to] = elements[from];
+    __syncwarp();
+  }
+};
 
 // Writes a thread's columns to a line, and the first and the last one of the image to the columns out of bounds too.
 template <int Reach, bool Vectors, class F>

@@ -131,6 +131,24 @@ def test_differences_of_gaussians_do_not_depend_on_alignment(dtype, device):
     assert_close(dog_and_gradient(*unaligned), expected, *exact)
 
 
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float16, torch.float64], ids=str)
+@pytest.mark.parametrize("width", [129, 130, 251, 377, 517])
+@pytest.mark.parametrize("name", ["harris_response", "gftt_response"])
+def test_corners_of_wide_rows(name, width, dtype, device):
+    """Rows whose ends are columns of one warp or of two."""
+    x, weights = (torch.rand(1, 2, 9, width, dtype=torch.float64).to(device, dtype) for _ in range(2))
+
+    def response_and_gradient(x, weights):
+        x = x.detach().requires_grad_()
+        y = getattr(F, name)(x)
+        return y, *torch.autograd.grad(y, x, weights)
+
+    with K.backend("reference"):
+        expected = [value.to(dtype) for value in response_and_gradient(x.double(), weights.double())]
+    for layout in LAYOUTS:
+        assert_close(response_and_gradient(with_layout(x, layout), with_layout(weights, layout)), expected)
+
+
 @pytest.mark.parametrize("name", OF_IMAGES)
 def test_flat_images_have_zero_responses_and_gradients(name, device):
     x = torch.full((1, 1, 12, 12), 0.3, device=device, dtype=torch.float64, requires_grad=True)

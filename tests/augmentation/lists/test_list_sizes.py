@@ -213,10 +213,19 @@ def test_lists_of_sizes_of_their_own_have_graphs(augment, device):
     ids=lambda augment: type(augment).__name__,
 )
 def test_results_and_gradients_have_memory_of_their_own(augment, device):
-    """One that is kept does not keep the others, and compiled programs take no operator whose results share memory."""
+    """Compiled programs take no operator whose results share memory; lists that are too long for these share a block."""
     images = pictures(device, SIZES)
     images = images if isinstance(augment, auto.AugMix) else [x.requires_grad_() for x in images]
     results = augment(images, seed=3)
     gradients = torch.autograd.grad(sum(y.square().sum() for y in results), images) if results[0].requires_grad else ()
     for each in (results, gradients):
         assert len({x.untyped_storage().data_ptr() for x in each}) == len(each)
+
+
+def test_long_lists_share_a_block(device, backend):
+    """It takes the host less time than an allocation for each result."""
+    for count, blocks in ((16, 16), (17, 1)):
+        images = pictures(device, [(5 + i, 9) for i in range(count)])
+        results = A.RandomHorizontalFlip(p=1.0)(images)
+        assert all(torch.equal(y, x.flip(-1)) for x, y in zip(images, results, strict=True))
+        assert len({y.untyped_storage().data_ptr() for y in results}) == (count if backend == "reference" else blocks)

@@ -15,7 +15,6 @@ from kvision._clamp import clamp
 from kvision._constants import constant
 from kvision._dtype import compute_dtype
 from kvision._modes import BLOCK_VALUE, BORDER
-from kvision._ops import FastPath
 from kvision.augmentation import maps
 from kvision.augmentation.corruption.blurs import mean_of_enlargements
 from kvision.augmentation.corruption.disk import disk_kernels
@@ -30,6 +29,7 @@ from kvision.augmentation.engine import Execution, Params, Shape
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
 from kvision.augmentation.lists import filter_lists, statistics_lists
 from kvision.augmentation.lists.conversions import run_on_list
+from kvision.augmentation.lists.drawn_layers import blurred_maps
 from kvision.augmentation.lists.sides import rows_on_device, sides_of, sizes_of_list
 from kvision.augmentation.noise import (
     BY_CHANNEL,
@@ -275,17 +275,9 @@ def _elastic_transform(like: Tensor, drawn: Params, images: Images, alpha: float
     return Displaced(gaussian_blur2d(noise, sides, sigma))
 
 
-# Maps that are drawn and blurred at once.
-_blurred_maps = FastPath("blurred_maps", (torch.float32,))
-
-
 def _blurred_maps_of_list(noise: NoiseOfList) -> Tensor:
     blur = _SIGMA, BORDER["reflect"]
-    if _blurred_maps.serves(noise.images[0].new_empty(1, dtype=torch.float32)):
-        sides, (keys, seeds, chosen, plan) = sizes(noise.images), noise.source.arguments()
-        scales = torch.tensor([(0.0, noise.map.most * height) for height in sides[::2]], device="cpu")
-        parameters = rows_on_device(scales, noise.images[0], torch.float32)
-        fused: Tensor = _blurred_maps.kernel(parameters, keys, seeds, chosen, list(plan), sides, *blur)
+    if (fused := blurred_maps(noise, *blur)) is not None:
         return fused
     (blurred,) = filter_lists.gaussian_blur2d_of_sides(noise.each(), *blur)
     return blurred.detach()

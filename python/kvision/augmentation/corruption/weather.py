@@ -12,7 +12,6 @@ from kvision import _check
 from kvision._clamp import clamp
 from kvision._constants import constant
 from kvision._dtype import compute_dtype
-from kvision._ops import FastPath
 from kvision.augmentation import ranges
 from kvision.augmentation.corruption.drops import drop_depths, drop_reliefs, mark_stains
 from kvision.augmentation.corruption.glass import reach_of
@@ -21,8 +20,9 @@ from kvision.augmentation.corruption.layer_base import LayerAugmentation
 from kvision.augmentation.engine import Execution, Params
 from kvision.augmentation.lists import filter_lists, statistics_lists
 from kvision.augmentation.lists.brightest import brightest
+from kvision.augmentation.lists.drawn_layers import spatter_layers
 from kvision.augmentation.lists.sides import rows_on_device, sides_of_list
-from kvision.augmentation.maps import IDENTITY, as_batch
+from kvision.augmentation.maps import as_batch
 from kvision.augmentation.random_generator.mapped import MappedGenerator, NoiseMap, NoiseOfList
 from kvision.augmentation.random_generator.plasma import PlasmaGenerator
 from kvision.augmentation.ranges import Numbers
@@ -326,24 +326,15 @@ def spattered(
     return muddy(like, noise, smoothing, parameters, softening)
 
 
-# All steps on a list of layers at once.
-_spatter_layers = FastPath("spatter_layers", (torch.float32,))
-
-
 def _layers(
     noise: Noise, smoothing: Operation, parameters: Tensor, softening: Operation | None
 ) -> tuple[Tensor, Tensor | None]:
     """The layers (B, 1, H, W) of stains, or without `softening` of drops, whose largest values (B,) follow them."""
-    if isinstance(noise, NoiseOfList) and _spatter_layers.serves(parameters):
-        then = smoothing if softening is None else softening
-        if not any(isinstance(x, Tensor) and x.requires_grad for x in (smoothing.arguments[0], then.arguments[0])):
-            standard, identity = constant(((0.0, 1.0),), parameters), constant(IDENTITY, parameters)
-            (keys, seeds, chosen, plan), sides = noise.source.arguments(), sizes(noise.images)
-            *blur, _ = smoothing.arguments
-            *soft, _ = then.arguments
-            drawn = (identity, standard, keys, seeds, chosen, list(plan), sides)
-            layers, most = _spatter_layers.kernel(*drawn, *blur, parameters, softening is None, *soft)
-            return layers, None if softening is not None else most
+    if (
+        isinstance(noise, NoiseOfList)
+        and (fused := spatter_layers(noise, smoothing, parameters, softening)) is not None
+    ):
+        return fused
     smoothed = on_layers(smoothing, noise.each() if isinstance(noise, NoiseOfList) else noise)
     if softening is not None:
         return _as_batch(on_layers(softening, on_layers(Operation(mark_stains, (parameters,)), smoothed))), None

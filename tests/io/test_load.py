@@ -176,7 +176,7 @@ PNGSUITE = {  # channels and dtype OpenCV decodes to
     "basn6a08": (4, torch.uint8),
     "basn6a16": (4, torch.uint16),
     "ftbbn2c16": (4, torch.uint16),
-    "ftbwn0g16": (1, torch.uint16),
+    "ftbwn0g16": (4, torch.uint16),
 }
 
 

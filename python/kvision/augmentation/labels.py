@@ -350,7 +350,7 @@ def count_masks(keys: Sequence[DataKey], values: Sequence[Any]) -> dict[int, Mas
 def boxes_of(i: int, of_boxes: Sequence[int]) -> int | None:
     """The number of the input of boxes that an input of classes or masks belongs to; None if there are none."""
     before = [at for at in of_boxes if at < i]
-    return before[-1] if before else min(of_boxes, default=None)
+    return before[-1] if before else next(iter(of_boxes), None)
 
 
 def _counts_of_boxes(boxes: Any, key: DataKey) -> list[int]:

@@ -46,8 +46,6 @@ class LabelRecord:
     def move(self, keys: Sequence[DataKey], values: Sequence[Any], stages: Chain) -> list[Any]:
         """What belongs to images, after all stages; the images as they are."""
         moved, has_others = list(values), False
-        if self._masks is None:
-            self._masks = labels.count_masks(keys, values)
         for i, key in enumerate(keys):
             if key == DataKey.MASK:
                 moved[i] = moved_masks(moved[i], stages, self.settings.masks, self.shape)
@@ -55,6 +53,8 @@ class LabelRecord:
                 has_others = True
         if not has_others:
             return moved
+        if self._masks is None:
+            self._masks = labels.count_masks(keys, values)
         kept = self._move_through(keys, moved, stages, self.size, self.settings)
         for i, key in enumerate(keys):
             if key == DataKey.KEYPOINTS and not self._points.get(i):

@@ -12,6 +12,7 @@ from kvision._dtype import as_dtype, compute_dtype
 from kvision.augmentation.erase import erase_marked_list
 from kvision.augmentation.maps import exact, warp_each
 from kvision.augmentation.transforms import transform_matrix
+from kvision.geometry.transform.lists.arguments import sizes
 
 # What a kernel that copies values takes masks of other types for; those of uint8 and of floating point are themselves.
 _SAME_BITS = {torch.bool: torch.uint8, torch.int8: torch.uint8, torch.int32: torch.float32, torch.int64: torch.float64}
@@ -23,7 +24,7 @@ def checked_masks(masks: Any, sides: Sequence[int]) -> list[Tensor] | None:
         return None
     if len({(m.dtype, m.device, m.shape[:-2]) for m in masks}) > 1 or masks[0].dim() not in (2, 3):
         return None
-    if [n for m in masks for n in m.shape[-2:]] != list(sides) or 0 in masks[0].shape:
+    if sizes(masks) != list(sides) or 0 in masks[0].shape:
         return None
     return [m if m.dim() == 3 else m[None] for m in masks]
 
@@ -70,7 +71,7 @@ def move_masks(masks: list[Tensor], run: Any, reading: Any) -> list[Tensor] | No
         dtype = compute_dtype(like)
         columns = like.new_empty(len(masks), 0, dtype=dtype) if run.columns is None else as_dtype(run.columns, dtype)
         matrix, own = transform_matrix(columns, step.chain), resampling.for_labels(reading.mode, reading.fill)
-        size = plan.sized.sizes_after(numbers, masks) if plan.sized.changes(numbers) else _sides(masks)
+        size = plan.sized.sizes_after(numbers, masks) if plan.sized.changes(numbers) else sizes(masks)
         masks = warped_masks(masks, matrix, size, own)
     for number, (module, call) in enumerate(zip(modules, plan.run.calls)):
         if number in joined or not call.applies or not module._moves_labels:
@@ -80,7 +81,3 @@ def move_masks(masks: list[Tensor], run: Any, reading: Any) -> list[Tensor] | No
             return None
         masks = moved
     return masks
-
-
-def _sides(masks: Sequence[Tensor]) -> list[int]:
-    return [n for m in masks for n in m.shape[-2:]]

@@ -9,7 +9,10 @@ namespace kv::morphology::cuda {
 namespace {
 
 constexpr int kThreads = 256, kRows = 32;  // of a block
-constexpr int kAhead = 2;                  // rows in flight
+constexpr int kAhead = 2;                  // rows in flight, and rows of the window that are kept
+// Blocks on a multiprocessor. Loops of bytes would take 128 registers for windows that are not flat.
+template <int P, int Bytes>
+constexpr int kBlocks = P == 8 && Bytes > 0 ? 4 : 3;
 
 // The maxima of three adjacent pixels of a group of P, by pairs. Pixels out of bounds are `outside`; all bits are
 // changed by `flip` first, so that an erosion is a dilation.
@@ -49,10 +52,9 @@ struct PairsAlongX {
     return pixels;
   }
 };
-// Bytes: the halves with the bits of bytes are in the same order.
 template <int P, class Rows>
 struct PairsAlongX<uint8_t, P, Rows> {
-  using V = Pair<Half>;
+  using V = BytePair;
   static constexpr int N = P / 4;  // words
   Rows const& rows;
   uint32_t const flip;
@@ -61,7 +63,7 @@ struct PairsAlongX<uint8_t, P, Rows> {
   __device__ __forceinline__ PairsAlongX(Rows const& rows, StructuringElement<float> const& window)
       : rows(rows),
         flip(window.erode ? 0xffffffffu : 0),
-        outside((round_to<uint8_t>(window.value) * 0x00010001u) ^ (flip & 0x00ff00ffu)) {}
+        outside((round_to<uint8_t>(window.value) * 0x01010101u) ^ flip) {}
   __device__ __forceinline__ void operator()(typename Rows::Fetched const& fetched, V (&most)[2 * N]) const {
     constexpr int kSkipped = 8 * Rows::kSkip;
     uint32_t packed[Rows::kPacked], around[N + 1];  // from the pixel before the group on
@@ -72,22 +74,21 @@ struct PairsAlongX<uint8_t, P, Rows> {
                                         : __funnelshift_r(packed[i], packed[min(i + 1, Rows::kPacked - 1)], kSkipped));
     if (rows.left_end) around[0] = __byte_perm(around[0], outside.bits, 0x3214);
     if (rows.right_end) around[N] = __byte_perm(around[N], outside.bits, 0x3240);
-    // Pixels 4 i - 1 and 4 i + 1; 4 i and 4 i + 2.
-    uint32_t odd[N + 1], even[N + 1];
+    // Pixels 4 i - 1 and 4 i + 1; 4 i and 4 i + 2, which are in the upper halves already.
+    uint32_t odd[N + 1];
 #pragma unroll
-    for (int i = 0; i <= N; ++i) odd[i] = around[i] & 0x00ff00ffu, even[i] = around[i] >> 8 & 0x00ff00ffu;
+    for (int i = 0; i <= N; ++i) odd[i] = around[i] << 8;
 #pragma unroll
     for (int i = 0; i < N; ++i) {
-      V const next(__funnelshift_r(odd[i], odd[i + 1], 16)), middle(even[i]);
-      V const both = upper(middle, next);
-      most[2 * i] = upper(V(odd[i]), both);
-      most[2 * i + 1] = upper(both, V(__funnelshift_r(even[i], even[i + 1], 16)));
+      V const middle(around[i]), next(__funnelshift_r(odd[i], odd[i + 1], 16));
+      most[2 * i] = upper(V(odd[i]), middle, next);
+      most[2 * i + 1] = upper(middle, next, V(__funnelshift_r(around[i], around[i + 1], 16)));
     }
   }
   __device__ __forceinline__ Vector<uint8_t, P> pixels(V const (&pairs)[2 * N]) const {
     uint32_t words[N];
 #pragma unroll
-    for (int i = 0; i < N; ++i) words[i] = flip ^ (pairs[2 * i].bits | pairs[2 * i + 1].bits << 8);
+    for (int i = 0; i < N; ++i) words[i] = flip ^ __byte_perm(pairs[2 * i].bits, pairs[2 * i + 1].bits, 0x7351);
     Vector<uint8_t, P> pixels;
     __builtin_memcpy(&pixels, words, sizeof(pixels));
     return pixels;
@@ -95,7 +96,7 @@ struct PairsAlongX<uint8_t, P, Rows> {
 };
 
 template <class T, int P, int Bytes>
-__global__ void __launch_bounds__(kThreads)
+__global__ void __launch_bounds__(kThreads, kBlocks<P, Bytes>)
     dilation_3x3_groups(__grid_constant__ Dilation<T> const p, __grid_constant__ ColumnGroups<P> const groups) {
   using Rows = GroupRows<T, P, 1, Bytes>;
   int64_t plane;
@@ -114,7 +115,7 @@ __global__ void __launch_bounds__(kThreads)
     offset[t] = p.window.offset(plane / p.planes, t);
     flat &= offset[t] == 0;
   }
-  if (!flat) {
+  if (!__all_sync(~0u, flat)) {
     float const sign = p.window.sign();
     float const outside = (sizeof(T) == 1 ? p.window.value : read(round_to<T>(p.window.value))) * sign;
     float v[3][P + 2];
@@ -160,16 +161,13 @@ __global__ void __launch_bounds__(kThreads)
     for (auto& m : most) m = along_x.outside;
   };
   typename Rows::Fetched ahead[kAhead];
-  V row[N], two[N];  // the maxima of the last row, and of the last two rows
+  V last[2][N];  // the maxima of the last two rows
   {
     auto const above = fetch(y0 - 1), at = fetch(y0);
 #pragma unroll
     for (int i = 0; i < kAhead; ++i) ahead[i] = fetch(y0 + 1 + i);
-    V first[N];
-    maxima_of(above, y0 - 1, first);
-    maxima_of(at, y0, row);
-#pragma unroll
-    for (int i = 0; i < N; ++i) two[i] = upper(first[i], row[i]);
+    maxima_of(above, y0 - 1, last[0]);
+    maxima_of(at, y0, last[1]);
   }
 #pragma unroll 1
   for (int y = y0; y < y1; y += kAhead)
@@ -180,8 +178,7 @@ __global__ void __launch_bounds__(kThreads)
       maxima_of(ahead[k], y + k + 1, below);
       ahead[k] = fetch(y + k + 1 + kAhead);
 #pragma unroll
-      for (int i = 0; i < N; ++i)
-        most[i] = upper(two[i], below[i]), two[i] = upper(row[i], below[i]), row[i] = below[i];
+      for (int i = 0; i < N; ++i) most[i] = upper(last[k][i], last[1 - k][i], below[i]), last[k][i] = below[i];
       out.put(along_x.pixels(most));
     }
 }

@@ -10,11 +10,11 @@
 namespace kv::filters::cuda {
 namespace {
 
-// What a thread sorts. Bytes are the halves with their bits, which are in the same order.
+// What a thread sorts.
 template <class T>
 constexpr int kPixelsOfValue = sizeof(T) < 4 ? 2 : 1;
 template <class T>
-using Value = std::conditional_t<kPixelsOfValue<T> == 2, Pair<std::conditional_t<sizeof(T) == 1, Half, T>>, Compute<T>>;
+using Value = std::conditional_t<kPixelsOfValue<T> == 2, Pair<T>, Compute<T>>;
 
 constexpr int kRows = 32;
 
@@ -100,7 +100,7 @@ struct GroupedRows {
     for (int i = 0; i < N + 2 * R; ++i) {
       int const a = i + Rows::kSkip, b = a + N;
       if constexpr (sizeof(T) == 1)
-        values[i] = V(__byte_perm(packed[a / 4], packed[b / 4], a % 4 | (4 + b % 4) << 8) & 0x00ff00ffu);
+        values[i] = V(__byte_perm(packed[a / 4], packed[b / 4], a % 4 * 0x11 | (4 + b % 4) * 0x1100));
       else
         values[i] = V(__byte_perm(packed[a / 2], packed[b / 2], (a % 2 ? 0x32 : 0x10) | (b % 2 ? 0x7600 : 0x5400)));
     }
@@ -121,10 +121,15 @@ struct GroupedRows {
     if constexpr (sizeof(T) == 1) {
 #pragma unroll
       for (int i = 0; i < N; i += 2)  // pixels i, i + 1, i + N, i + 1 + N
-        words[i / 2] = __byte_perm(values[i].bits, values[i + 1].bits, 0x6240);
-      if constexpr (N == 4) {
-        uint32_t const low = words[0], high = words[1];
-        words[0] = __byte_perm(low, high, 0x5410), words[1] = __byte_perm(low, high, 0x7632);
+        words[i / 2] = __byte_perm(values[i].bits, values[i + 1].bits, 0x7351);
+      if constexpr (N >= 4) {
+        uint32_t pairs[kWords];
+        __builtin_memcpy(pairs, words, sizeof(words));
+#pragma unroll
+        for (int i = 0; i < N / 4; ++i) {
+          words[i] = __byte_perm(pairs[2 * i], pairs[2 * i + 1], 0x5410);
+          words[N / 4 + i] = __byte_perm(pairs[2 * i], pairs[2 * i + 1], 0x7632);
+        }
       }
     } else {
 #pragma unroll
@@ -138,6 +143,55 @@ struct GroupedRows {
     out.put(pixels);
   }
 };
+
+// The middle one of three bytes, of which the lowest and the highest are known.
+__device__ __forceinline__ BytePair middle_of(BytePair a, BytePair b, BytePair c, BytePair lowest, BytePair highest) {
+  return BytePair(a.bits ^ b.bits ^ c.bits ^ lowest.bits ^ highest.bits);
+}
+
+// Rows y0 ... y1 - 1 of the medians of 3 x 3 bytes: columns of three are sorted, then the median is the middle one of
+// the highest lowest, the middle middle and the lowest highest byte of three columns.
+template <int N, class Rows>
+__device__ __forceinline__ void medians_of_bytes(Rows& rows, int height, Border border, int y0, int y1) {
+  using V = BytePair;
+  using Fetched = typename Rows::Fetched;
+  constexpr int kAhead = 2, kColumns = N + 2;
+  auto const fetch = [&](int y) {
+    int const source = y <= y1 ? border_index(border, y, height) : -1;
+    return source < 0 ? Fetched{} : rows.fetch(source);
+  };
+  V last[2][kColumns];  // two rows
+  Fetched ahead[kAhead];
+  {
+    Fetched const above = fetch(y0 - 1), at = fetch(y0);
+#pragma unroll
+    for (int i = 0; i < kAhead; ++i) ahead[i] = fetch(y0 + 1 + i);
+    rows.spread(above, last[0]);
+    rows.spread(at, last[1]);
+  }
+#pragma unroll 1
+  for (int y = y0; y < y1; y += kAhead)
+#pragma unroll
+    for (int k = 0; k < kAhead; ++k) {
+      if (k > 0 && y + k >= y1) break;
+      V below[kColumns], lowest[kColumns], middle[kColumns], highest[kColumns], medians[N];
+      rows.spread(ahead[k], below);
+      ahead[k] = fetch(y + k + 1 + kAhead);
+#pragma unroll
+      for (int i = 0; i < kColumns; ++i) {
+        V const a = last[k][i], b = last[1 - k][i], c = below[i];
+        lowest[i] = lower(a, b, c), highest[i] = upper(a, b, c), middle[i] = middle_of(a, b, c, lowest[i], highest[i]);
+        last[k][i] = c;
+      }
+      auto const middle_of_three = [](V a, V b, V c) { return middle_of(a, b, c, lower(a, b, c), upper(a, b, c)); };
+#pragma unroll
+      for (int i = 0; i < N; ++i)
+        medians[i] = middle_of_three(upper(lowest[i], lowest[i + 1], lowest[i + 2]),
+                                     middle_of_three(middle[i], middle[i + 1], middle[i + 2]),
+                                     lower(highest[i], highest[i + 1], highest[i + 2]));
+      rows.store(medians);
+    }
+}
 
 // Rows y0 ... y1 - 1 of the medians.
 template <int K, int N, class T, class Rows>
@@ -242,7 +296,11 @@ __global__ void __launch_bounds__(kThreads, kBlocks<T, K>)
   int x, y0;
   groups.locate(plane, x, y0);
   GroupedRows<K, N, T, Bytes> rows(p, plane, x, y0);
-  median_rows<K, N, T>(rows, int(p.x.height), p.border, y0, min(y0 + groups.rows, int(p.x.height)));
+  int const height = int(p.x.height), y1 = min(y0 + groups.rows, height);
+  if constexpr (K == 3 && sizeof(T) == 1)
+    medians_of_bytes<N>(rows, height, p.border, y0, y1);
+  else
+    median_rows<K, N, T>(rows, height, p.border, y0, y1);
 }
 
 // The same of lists.
@@ -270,7 +328,11 @@ __global__ void __launch_bounds__(kThreads, kBlocks<T, K>)
   int x, y0;
   groups.locate(block, plane, x, y0);
   GroupedRows<K, N, T, 0> rows(*p, plane, x, y0);
-  median_rows<K, N, T>(rows, int(p->x.height), p->border, y0, min(y0 + groups.rows, int(p->x.height)));
+  int const height = int(p->x.height), y1 = min(y0 + groups.rows, height);
+  if constexpr (K == 3 && sizeof(T) == 1)
+    medians_of_bytes<N>(rows, height, p->border, y0, y1);
+  else
+    median_rows<K, N, T>(rows, height, p->border, y0, y1);
 }
 
 template <class T>
@@ -404,6 +466,8 @@ int median_blur_list(MedianBlurList<T> const& p, CUstream_st* stream) {
 
 template <class T>
 int median_blur(MedianBlur<T> const& p, CUstream_st* stream) {
+  if constexpr (sizeof(T) == 1)
+    if (launch_groups<3, 8>(p, stream)) return cudaGetLastError();
   if constexpr (sizeof(T) <= 2)
     if (launch_groups<3, 4>(p, stream) || launch_groups<5, 2>(p, stream)) return cudaGetLastError();
   // Special case, H200: 134 to 212 times as fast as a thread an element.

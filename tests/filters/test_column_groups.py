@@ -55,6 +55,46 @@ def test_which_images_take_groups_of_columns_of_sobel(device):
             assert taken == (dtype in HALVES and width >= 16 and width % 8 != 0), (dtype, width)
 
 
+STORES: dict[str, Call] = {
+    "sobel": filters.sobel,
+    "median 3": lambda x: filters.median_blur(x, 3),
+    "median 5": lambda x: filters.median_blur(x, 5),
+    "gauss 5": lambda x: filters.gaussian_blur2d(x, 5, (1.5, 1.5)),
+    "gauss 11": lambda x: filters.gaussian_blur2d(x, 11, (1.5, 1.5)),
+    "dilation": lambda x: morphology.dilation(x, torch.ones(3, 3, dtype=x.dtype, device=x.device)),
+    "dilation by a cross": lambda x: morphology.dilation(
+        x, torch.tensor([[0, 1, 0], [1, 1, 1], [0, 1, 0]], dtype=x.dtype, device=x.device)
+    ),
+    "pyrdown": lambda x: geometry.pyrdown(x),
+    "center crop": lambda x: geometry.center_crop(x, (x.shape[-2] // 2, x.shape[-1] // 2)),
+}
+
+
+@pytest.mark.parametrize("name", STORES)
+@pytest.mark.parametrize("dtype", HALVES, ids=str)
+def test_stores_of_half_types_do_not_depend_on_alignment(name, dtype, device):
+    """Rows of a plane begin at other addresses in a batch than alone, so that other threads store their ends."""
+    call = STORES[name]
+    for height, width in ((6, 25), (8, 33), (12, 65), (40, 299), (25, 130), (9, 500), (7, 1030)):
+        x = torch.rand(2, 3, height, width, generator=torch.Generator().manual_seed(width)).to(device, dtype)
+        y = call(x)
+        for plane in ((slice(0, 1), slice(0, 1)), (slice(1, 2), slice(2, 3))):
+            assert torch.equal(call(x[plane].clone()), y[plane]), (height, width)
+        layout = call(x.contiguous(memory_format=torch.channels_last))
+        torch.testing.assert_close(layout, y, rtol=2e-2, atol=2e-2)
+
+
+@pytest.mark.parametrize("dtype", HALVES, ids=str)
+def test_which_rows_of_sobel_are_vectors_of_eight_bytes(dtype, device):
+    if device.type != "cuda":
+        pytest.skip("needs --device cuda")
+    for width, first, eight in ((36, 0, True), (36, 1, False), (34, 0, False), (33, 0, False), (500, 4, True)):
+        memory = torch.ones(12 * width + first, device=device).to(dtype)
+        names = kernels_of(filters.sobel, memory[first:].view(1, 1, 12, width))
+        kernel = next(name for name in names if "sobel_groups" in name)
+        assert ("8>" in kernel.split("sobel_groups", 1)[1].split("(", 1)[0]) == eight, kernel
+
+
 @pytest.mark.parametrize("dtype", HALVES, ids=str)
 def test_sobel_of_rows_that_begin_anywhere(dtype, device):
     for height, width in ((37, 513), (12, 33), (26, 260), (1, 19), (2, 17), (9, 500)):

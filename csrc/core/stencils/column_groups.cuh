@@ -237,40 +237,30 @@ struct GroupRows {
   }
 };
 
+// Whether threads exchange the pixels of rows that begin anywhere, so that they store aligned vectors. Parts of a
+// sector that a warp stores one after the other take the time of as many sectors.
+template <class T, int Bytes>
+constexpr bool kExchangesStores = Bytes == 0 && sizeof(T) == 2;
+
 // Stores rows of a thread's group.
 template <class T, int P, int Bytes>
 struct GroupStore {
+  static constexpr bool kExchanges = kExchangesStores<T, Bytes>;
+  static constexpr int kSize = P * int(sizeof(T)), kWords = ceil_div(kSize, 4);
   T* at;  // the group in the next row
   int const stride;
+  bool is_first = true, is_last = true;  // of adjacent groups of the warp
 
+  // The threads of a warp construct it, and put rows, together.
   __device__ __forceinline__ GroupStore(Planes<T> const& images, int64_t plane, int x, int y)
-      : at(images.row(plane, y) + x), stride(int(images.row_stride)) {}
-
-  __device__ __forceinline__ void words(Vector<T, P> const& vector) const {
-    __builtin_assume(__isGlobal(at));
-    constexpr int N = P * int(sizeof(T)) / 4;
-    uint32_t own[N];
-    __builtin_memcpy(own, &vector, sizeof(own));
-    if constexpr (sizeof(T) >= 4) {
-#pragma unroll
-      for (int i = 0; i < P; ++i) at[i] = vector.v[i];
-    } else {
-      unsigned const preceding = unsigned(reinterpret_cast<uintptr_t>(at)) & 3, before = (4 - preceding) & 3;
-      auto* const to = reinterpret_cast<uint32_t*>(reinterpret_cast<char*>(at) + before);
-      __builtin_assume(__isGlobal(to));
-#pragma unroll
-      for (int i = 0; i + 1 < N; ++i) to[i] = __funnelshift_r(own[i], own[i + 1], 8 * before);
-      if (preceding == 0) {
-        to[N - 1] = own[N - 1];
-      } else {
-#pragma unroll
-        for (int i = 0; i < kPerWord<T> - 1; ++i) {
-          if (i * sizeof(T) < before) at[i] = vector.v[i];
-          if (i * sizeof(T) < preceding) at[P - 1 - i] = vector.v[P - 1 - i];
-        }
-      }
+      : at(images.row(plane, y) + x), stride(int(images.row_stride)) {
+    if constexpr (kExchanges) {
+      auto const address = static_cast<unsigned long long>(reinterpret_cast<uintptr_t>(at));
+      is_first = __shfl_up_sync(~0u, address, 1) + kSize != address || threadIdx.x % 32 == 0;
+      is_last = __shfl_down_sync(~0u, address, 1) != address + kSize || threadIdx.x % 32 == 31;
     }
   }
+
   __device__ __forceinline__ void put(Compute<T> const (&v)[P]) { put(rounded<T>(v)); }
   __device__ __forceinline__ void put(Vector<T, P> const& vector) {
     if constexpr (Bytes > 0) {
@@ -282,10 +272,66 @@ struct GroupStore {
         for (int k = 0; k < N; ++k) part.v[k] = vector.v[i + k];
         store_vector(at + i, part);
       }
+    } else if constexpr (kExchanges) {
+      exchanged(vector);
     } else {
-      words(vector);
+      words(vector, [](int) { return true; });
     }
     at += stride;
+  }
+
+ private:
+  // Stores the group by words, and by pixels at its ends: what begins at byte i of the group if stores(i).
+  template <class Stores>
+  __device__ __forceinline__ void words(Vector<T, P> const& vector, Stores stores) const {
+    __builtin_assume(__isGlobal(at));
+    if constexpr (sizeof(T) >= 4) {
+#pragma unroll
+      for (int i = 0; i < P; ++i) at[i] = vector.v[i];
+    } else {
+      uint32_t own[kWords];
+      __builtin_memcpy(own, &vector, sizeof(own));
+      int const preceding = int(reinterpret_cast<uintptr_t>(at)) & 3, before = (4 - preceding) & 3;
+      auto* const to = reinterpret_cast<uint32_t*>(reinterpret_cast<char*>(at) + before);
+      __builtin_assume(__isGlobal(to));
+#pragma unroll
+      for (int i = 0; i + 1 < kWords; ++i)
+        if (stores(before + 4 * i)) to[i] = __funnelshift_r(own[i], own[i + 1], 8 * before);
+      if (preceding == 0) {
+        if (stores(kSize - 4)) to[kWords - 1] = own[kWords - 1];
+      } else {
+#pragma unroll
+        for (int i = 0; i < kPerWord<T> - 1; ++i) {
+          if (i * int(sizeof(T)) < before && stores(0)) at[i] = vector.v[i];
+          if (i * int(sizeof(T)) < preceding && stores(kSize - 1)) at[P - 1 - i] = vector.v[P - 1 - i];
+        }
+      }
+    }
+  }
+
+  // Stores the vector of kSize bytes, at a multiple of them, that begins in the group before and ends in this one:
+  //
+  //   vectors          | . . a b | c d e f | g h i j | . . .
+  //   groups               a b c d   e f g h   i j             the second thread stores c d e f
+  __device__ __forceinline__ void exchanged(Vector<T, P> const& vector) const {
+    static_assert(kSize == 8 || kSize == 16);
+    uint32_t w[2 * kWords];  // the group before, and this one
+    __builtin_memcpy(w + kWords, &vector, kSize);
+#pragma unroll
+    for (int i = 0; i < kWords; ++i) w[i] = __shfl_up_sync(~0u, w[kWords + i], 1);
+    int const past = int(reinterpret_cast<uintptr_t>(at)) & (kSize - 1), rest = kSize - past;  // bytes of the group
+    int const skipped = (rest - 1) / 4;                                                        // words
+#pragma unroll
+    for (int n = kWords / 2; n > 0; n /= 2)
+#pragma unroll
+      for (int i = 0; i < kWords + n; ++i) w[i] = skipped & n ? w[i + n] : w[i];
+    uint32_t shifted[kWords];
+#pragma unroll
+    for (int i = 0; i < kWords; ++i) shifted[i] = __funnelshift_rc(w[i], w[i + 1], 8 * (rest - 4 * skipped));
+    Vector<T, P> aligned;
+    __builtin_memcpy(&aligned, shifted, kSize);
+    if (past == 0 || !is_first) store_vector(reinterpret_cast<T*>(reinterpret_cast<char*>(at) - past), aligned);
+    if (past > 0 && (is_first || is_last)) words(vector, [&](int byte) { return byte < rest ? is_first : is_last; });
   }
 };
 

@@ -74,7 +74,7 @@ __global__ void __launch_bounds__(256, kBlocks<T, Aligned>) sobel_strip(Sobel<T>
   }
 }
 
-template <class T>
+template <class T, int Bytes>
 __global__ void __launch_bounds__(kGroupThreads, 5)
     sobel_groups(__grid_constant__ Sobel<T> const p,
                  __grid_constant__ ColumnGroups<kPixels<T>, kGroupThreads> const groups) {
@@ -82,9 +82,9 @@ __global__ void __launch_bounds__(kGroupThreads, 5)
   int64_t plane;
   int x, y0;
   groups.locate(plane, x, y0);
-  using Rows = GroupRows<T, P, 1>;
+  using Rows = GroupRows<T, P, 1, Bytes>;
   Rows const rows(p.x, plane, x, kSobelBorder);
-  GroupStore<T, P, 0> out(p.y, plane, x, y0);
+  GroupStore<T, P, Bytes> out(p.y, plane, x, y0);
   int const height = int(p.x.height), y1 = min(y0 + groups.rows, height), last = min(y1, height - 1);
   auto const fetch = [&](int y) { return rows.fetch(clamp(y, 0, last)); };
   float const scale = p.scale * p.scale;
@@ -344,11 +344,16 @@ int sobel(Sobel<T> const& p, CUstream_st* stream) {
   if constexpr (sizeof(T) == 2)
     // Special case, H200: 1.06 (335x513) to 1.39 (375x500) times as fast as strips, float16.
     if (!aligned && supports_groups<P, 1>(p.x)) {
-      static int const resident = resident_blocks(sobel_groups<T>, kGroupThreads);
-      ColumnGroups<P, kGroupThreads> const groups(p.x.count(), p.x.height, p.x.width, kGroupRows,
-                                                  GroupRows<T, P, 1>::kReach, 3, resident);
-      sobel_groups<T><<<groups.blocks(), groups.threads, 0, stream>>>(p, groups);
-      return cudaGetLastError();
+      auto const launch = [&](auto bytes) {
+        auto* const kernel = sobel_groups<T, bytes.value>;
+        static int const resident = resident_blocks(kernel, kGroupThreads);
+        ColumnGroups<P, kGroupThreads> const groups(p.x.count(), p.x.height, p.x.width, kGroupRows,
+                                                    GroupRows<T, P, 1, bytes.value>::kReach, 3, resident);
+        kernel<<<groups.blocks(), groups.threads, 0, stream>>>(p, groups);
+        return int(cudaGetLastError());
+      };
+      return bytes_of_rows<P>(p.x, p.y) == 8 ? launch(std::integral_constant<int, 8>{})
+                                             : launch(std::integral_constant<int, 0>{});
     }
   // Special case, H200: 2.8 to 5.7 times as fast as a thread an element.
   if (p.x.step == 1)

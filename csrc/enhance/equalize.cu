@@ -75,7 +75,7 @@ __device__ __forceinline__ void store_values(T* to, typename Table<T>::Value con
 
 // Builds the table in `memory` from the counts; thread i < kLevels has the count of level i. False if the plane stays
 // unchanged.
-template <class T>
+template <class Table>
 __device__ __forceinline__ bool make_table(int count, bool opencv, void* memory, int& total) {
   __shared__ int darkest, brightest;
   int const level = threadIdx.x;
@@ -86,7 +86,7 @@ __device__ __forceinline__ bool make_table(int count, bool opencv, void* memory,
   if (count > 0 && up_to == total) brightest = count;
   __syncthreads();
   Curve const curve{opencv, total, darkest, brightest};
-  if (level < kLevels && curve.changes()) Table<T>::write(memory, level, curve(up_to, count));
+  if (level < kLevels && curve.changes()) Table::write(memory, level, curve(up_to, count));
   __syncthreads();
   return curve.changes();
 }
@@ -153,7 +153,7 @@ __device__ __forceinline__ void equalize_part(Equalize<T> const& p, unsigned blo
   }
   __syncthreads();
   int counted;
-  bool const changes = make_table<T>(count, p.opencv, memory, counted);
+  bool const changes = make_table<Table<T>>(count, p.opencv, memory, counted);
   Table<T> const table{reinterpret_cast<typename Table<T>::Value*>(memory)};
   if (part == 0 && t == 0 && p.changed) p.changed[plane] = change_of_plane<T>(changes, counted < p.x.width);
 
@@ -171,6 +171,114 @@ __device__ __forceinline__ void equalize_part(Equalize<T> const& p, unsigned blo
     };
     body.for_each_peeled([&](int i) { map(i, std::integral_constant<int, 1>{}); });
     for (int i = body.begin + t * P; i < body.end; i += kThreads * P) map(i, std::integral_constant<int, P>{});
+  }
+  if (parts > 1) cluster_wait();
+}
+
+// --- bytes in registers ----------------------------------------------------------------------------------------------
+
+// A counter, and later a value, of each level for each thread of a warp: 128 bytes a level, so that no two threads use
+// a bank. Places are addresses, computed by multiplication, since other instructions take all of the issue slots.
+struct ByteLanes {
+  uint32_t* const words;
+  uint32_t const first;  // the address of the thread's word of level 0
+  uint32_t level_bytes;
+
+  explicit __device__ __forceinline__ ByteLanes(uint32_t* words)
+      : words(words), first(uint32_t(__cvta_generic_to_shared(words + threadIdx.x % 32))) {
+    asm("mov.u32 %0, 128;" : "=r"(level_bytes));  // a constant would become a shift and an addition
+  }
+  __device__ __forceinline__ uint32_t place(uint32_t level) const { return level * level_bytes + first; }
+  __device__ __forceinline__ void add(uint32_t level) const {
+    asm volatile("red.shared.add.u32 [%0], 1;" ::"r"(place(level)) : "memory");
+  }
+  __device__ __forceinline__ uint32_t operator[](uint32_t level) const {
+    uint32_t value;
+    asm volatile("ld.shared.u32 %0, [%1];" : "=r"(value) : "r"(place(level)));
+    return value;
+  }
+  __device__ __forceinline__ int count_of(int level) const {
+    auto const* const vectors = reinterpret_cast<int4 const*>(words + 32 * level);
+    int sum = 0;
+#pragma unroll
+    for (int i = 0; i < 8; ++i) {
+      int4 const four = vectors[(i + level) % 8];  // threads with adjacent levels read different banks at a time
+      sum += four.x + four.y + four.z + four.w;
+    }
+    return sum;
+  }
+  static __device__ __forceinline__ void write(void* memory, int level, int mapped) {
+    auto* const vectors = static_cast<uint4*>(memory) + 8 * level;
+    uint32_t const value = mapped;
+#pragma unroll
+    for (int i = 0; i < 8; ++i) vectors[(i + level) % 8] = make_uint4(value, value, value, value);
+  }
+};
+
+constexpr int kByteVectors = 8;                                       // of 16 bytes, that a thread keeps
+constexpr int64_t kMaxBytes = int64_t(kByteVectors) * 16 * kThreads;  // of a block
+
+// As equalize_part, for bytes, which stay in registers.
+__device__ __forceinline__ void equalize_bytes_part(Equalize<uint8_t> const& p, unsigned block, unsigned parts,
+                                                    int each) {
+  __shared__ __align__(128) uint32_t memory[32 * kLevels];
+  __shared__ int32_t totals[kLevels];
+  unsigned const plane = block / parts, part = block - plane * parts;
+  uint8_t const* const x = p.x.plane(plane);
+  uint8_t* const y = p.y.plane(plane);
+  int const begin = int(part) * each, end = min(begin + each, int(p.x.width)), t = int(threadIdx.x);
+  ByteLanes const lanes(memory);
+  auto const byte_of = [](uint32_t four, int k) { return __byte_perm(four, 0, 0x4440 + k); };
+  AlignedBody<16, int> const body(x, begin, end);
+  auto const vector_at = [&](int i) { return body.begin + (i * kThreads + t) * 16; };
+
+  Vector<uint32_t, 4> vectors[kByteVectors];
+#pragma unroll
+  for (int i = 0; i < kByteVectors; ++i)
+    if (vector_at(i) < body.end) vectors[i] = *reinterpret_cast<Vector<uint32_t, 4> const*>(x + vector_at(i));
+#pragma unroll
+  for (int first = 0; first < 8 * kLevels; first += kThreads)
+    if (first + t < 8 * kLevels) reinterpret_cast<int4*>(memory)[first + t] = int4{};
+  __syncthreads();
+  body.for_each_peeled([&](int i) { lanes.add(x[i]); });
+#pragma unroll
+  for (int i = 0; i < kByteVectors; ++i) {
+    if (vector_at(i) >= body.end) break;
+#pragma unroll
+    for (int k = 0; k < 16; ++k) lanes.add(byte_of(vectors[i].v[k / 4], k % 4));
+  }
+  __syncthreads();
+  int count = t < kLevels ? lanes.count_of(t) : 0;
+  if (parts > 1) {
+    if (t < kLevels) totals[t] = count;
+    cluster_arrive();
+    cluster_wait();
+    count = 0;
+    for (unsigned rank = 0; t < kLevels && rank < parts; ++rank) count += load_of_block(&totals[t], rank);
+    cluster_arrive();  // no block ends before all others have read its totals
+  }
+  int counted;  // make_table waits for all threads before it writes
+  bool const changes = make_table<ByteLanes>(count, p.opencv, memory, counted);
+  if (part == 0 && t == 0 && p.changed) p.changed[plane] = change_of_plane<uint8_t>(changes, false);
+
+  body.for_each_peeled([&](int i) { y[i] = changes ? uint8_t(lanes[x[i]]) : x[i]; });
+#pragma unroll
+  for (int i = 0; i < kByteVectors; ++i) {
+    if (vector_at(i) >= body.end) break;
+    Vector<uint8_t, 16> mapped;
+    if (changes) {
+      uint32_t words[4];
+#pragma unroll
+      for (int k = 0; k < 4; ++k) {
+        auto const value = [&](int n) { return lanes[byte_of(vectors[i].v[k], n)]; };
+        words[k] =
+            __byte_perm(__byte_perm(value(0), value(1), 0x0040), __byte_perm(value(2), value(3), 0x0040), 0x5410);
+      }
+      __builtin_memcpy(&mapped, words, 16);
+    } else {
+      __builtin_memcpy(&mapped, &vectors[i], 16);
+    }
+    store_vector(y + vector_at(i), mapped);
   }
   if (parts > 1) cluster_wait();
 }
@@ -194,6 +302,21 @@ __global__ void __launch_bounds__(kThreads, kBlocks<T>)
   Equalize<T> const flat = flat_sample(*one);
   equalize_part<P>(flat, block, parts, pixels_of_part(flat.x.width, parts));
 }
+
+__global__ void __launch_bounds__(kThreads, kBlocks<uint8_t>)
+    equalize_bytes(Equalize<uint8_t> p, unsigned parts, int each) {
+  equalize_bytes_part(p, blockIdx.x, parts, each);
+}
+__global__ void __launch_bounds__(kThreads, kBlocks<uint8_t>)
+    equalize_bytes_of_list(__grid_constant__ EqualizeList<uint8_t> const p, unsigned parts) {
+  unsigned block;
+  Equalize<uint8_t> const* const one = sample_of_block(p, block);
+  if (!one) return;
+  Equalize<uint8_t> const flat = flat_sample(*one);
+  equalize_bytes_part(flat, block, parts, pixels_of_part(flat.x.width, parts));
+}
+
+// --- chunks ----------------------------------------------------------------------------------------------------------
 
 // Chunks of planes, `each` pixels per block.
 template <int P, class T>
@@ -220,7 +343,7 @@ __device__ __forceinline__ void map_chunk(Equalize<T> const& p, unsigned block, 
   int64_t const begin = int64_t(block % chunks) * each;
   int const count = threadIdx.x < kLevels ? p.counts[int64_t(plane) * kLevels + threadIdx.x] : 0;
   int counted;
-  bool const changes = make_table<T>(count, p.opencv, memory, counted);
+  bool const changes = make_table<Table<T>>(count, p.opencv, memory, counted);
   if (begin == 0 && threadIdx.x == 0 && p.changed) p.changed[plane] = change_of_plane<T>(changes, counted < p.x.width);
   map_pixels<P>(p, plane, int(begin), int(min(begin + each, p.x.width)), changes,
                 Table<T>{reinterpret_cast<typename Table<T>::Value*>(memory)});
@@ -302,9 +425,8 @@ struct Division {
   int parts, each;
   bool by_clusters;  // otherwise by chunks
 
-  Division(int64_t planes, int64_t pixels, bool has_clusters) : parts(1) {
+  Division(int64_t planes, int64_t pixels, bool has_clusters, int64_t max_pixels) : parts(1) {
     int const most_parts = has_clusters ? kMaxClusterSize : 1;
-    int64_t const max_pixels = min(kMaxPixels, max_shared_bytes() - kCountBytes - 4096);
     while (parts < most_parts && ceil_div(pixels, parts) > max_pixels) parts *= 2;
     // Few planes use all multiprocessors if each is split further; fewer still if they are split into chunks.
     while (parts < most_parts && planes * parts < 2 * multiprocessors() && pixels / parts > 8 << 10) parts *= 2;
@@ -315,10 +437,18 @@ struct Division {
   }
 };
 
+int64_t max_pixels_of_memory() { return min(kMaxPixels, max_shared_bytes() - kCountBytes - 4096); }
+
 template <int P, class T>
 int equalize_planes(Equalize<T> const& p, CUstream_st* stream) {
   int64_t const planes = p.x.count();
-  Division const division(planes, p.x.width, supports_clusters(equalize_parts<T, P>));
+  if constexpr (sizeof(T) == 1 && P > 1) {
+    Division const division(planes, p.x.width, supports_clusters(equalize_bytes), kMaxBytes);
+    if (division.by_clusters)
+      return launch_clusters(equalize_bytes, unsigned(planes * division.parts), kThreads, 0, unsigned(division.parts),
+                             stream, p, unsigned(division.parts), division.each);
+  }
+  Division const division(planes, p.x.width, supports_clusters(equalize_parts<T, P>), max_pixels_of_memory());
   if (!division.by_clusters) return equalize_in_chunks<P>(p, stream);
   int const bytes = kCountBytes + division.each + 2 * P;
   if (int const error = cudaFuncSetAttribute(equalize_parts<T, P>, cudaFuncAttributeMaxDynamicSharedMemorySize, bytes))
@@ -333,10 +463,7 @@ int equalize_samples(EqualizeList<T> const& p, CUstream_st* stream) {
   int64_t most = 1, planes = int64_t(p.list.count) * p.channels;
   for (int b = 0; b < p.list.count; ++b) most = max(most, int64_t(p.list.results[b].height) * p.list.results[b].width);
   auto const pixels_of = [](Equalize<T> const& one) { return one.x.height * one.x.width; };
-  auto* const kernel = equalize_parts_of_list<T, P>;
-  Division const division(planes, most, supports_clusters(kernel));
-  if (division.by_clusters) {
-    int const bytes = kCountBytes + division.each + 2 * P;
+  auto const launch_parts = [&](auto* kernel, Division const& division, int bytes) {
     if (int const error = cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, bytes))
       return error;
     int error = 0;
@@ -347,7 +474,14 @@ int equalize_samples(EqualizeList<T> const& p, CUstream_st* stream) {
                                   unsigned(division.parts));
         });
     return error ? error : failed;
+  };
+  if constexpr (sizeof(T) == 1 && P > 1) {
+    Division const division(planes, most, supports_clusters(equalize_bytes_of_list), kMaxBytes);
+    if (division.by_clusters) return launch_parts(equalize_bytes_of_list, division, 0);
   }
+  Division const division(planes, most, supports_clusters(equalize_parts_of_list<T, P>), max_pixels_of_memory());
+  if (division.by_clusters)
+    return launch_parts(equalize_parts_of_list<T, P>, division, kCountBytes + division.each + 2 * P);
   int const each = int(pixels_of_chunk(sum_of_samples(p, pixels_of) * p.channels));
   if (int const error = cudaMemsetAsync(p.all.counts, 0, planes * kLevels * sizeof(int32_t), stream)) return error;
   auto const launch = [&](auto maps) {

@@ -41,7 +41,7 @@ POINTWISE: dict[str, tuple[Call, str]] = {
     "gray": (color.rgb_to_grayscale, "run_one_step"),
     "brightness": (partial(enhance.adjust_brightness, factor=0.1), "run_one_step"),
     "gamma": (partial(enhance.adjust_gamma, gamma=0.7), "run_bytes"),
-    "equalize": (enhance.equalize, "equalize_parts"),
+    "equalize": (enhance.equalize, "equalize_bytes"),
     "clahe": (enhance.equalize_clahe, "map_cells"),
     "hsv": (color.rgb_to_hsv, "run"),
     "xyz": (color.rgb_to_xyz, "run"),
@@ -89,6 +89,28 @@ def test_which_calls_compute_with_bytes(name, device):
     launched = kernels_of(call, torch.ones(2, 3, 13, 17, dtype=torch.uint8, device=device))
     assert kernel in launched
     assert "elementwise" not in launched  # no conversion
+
+
+def test_which_planes_of_equalize_stay_in_registers(device):
+    if device.type != "cuda":
+        pytest.skip("needs --device cuda")
+    for height, width, taken in ((1, 1, True), (335, 513, True), (600, 650, True), (600, 660, False)):
+        x = torch.ones(200, 1, height, width, dtype=torch.uint8, device=device)
+        assert ("equalize_bytes" in kernels_of(enhance.equalize, x)) == taken, (height, width)
+        assert "equalize_bytes" not in kernels_of(enhance.equalize, x[:2].half())
+
+
+def test_equalize_of_large_planes_that_begin_anywhere(device):
+    for shape in ((1, 1, 700, 901), (2, 3, 299, 299), (3, 1, 256, 257)):
+        count = 1
+        for size in shape:
+            count *= size
+        memory = torch.randint(0, 256, (count + 5,), generator=torch.Generator().manual_seed(count)).to(torch.uint8)
+        memory[: shape[-1]] = 7
+        for first in (0, 5):
+            x = memory[first : first + count].view(shape)
+            on_device = memory.to(device)[first : first + count].view(shape)
+            assert torch.equal(enhance.equalize(on_device).cpu(), enhance.equalize(x)), (shape, first)
 
 
 def test_which_images_take_the_kernel_of_bytes_of_sobel(device):

@@ -34,7 +34,7 @@ GROUPS: dict[str, tuple[Call, str, int]] = {
     "dilation": (dilation, "dilation_3x3_groups", 1),
     "median 3": (partial(filters.median_blur, kernel_size=3), "median_groups", 1),
     "gauss 5": (partial(filters.gaussian_blur2d, kernel_size=5, sigma=(1.5, 1.5)), "separable_groups", 2),
-    "box 3": (partial(filters.box_blur, kernel_size=3), "separable_groups", 1),
+    "gauss 3": (partial(filters.gaussian_blur2d, kernel_size=3, sigma=(1.5, 1.5)), "separable_groups", 1),
     "sharpness": (partial(enhance.sharpness, factor=1.7), "run_groups", 1),
 }
 POINTWISE: dict[str, tuple[Call, str]] = {
@@ -51,7 +51,11 @@ OTHERS: dict[str, Call] = {
     "gauss 11": partial(filters.gaussian_blur2d, kernel_size=11, sigma=(1.5, 1.5)),
     "cross": cross,
     "median 5": partial(filters.median_blur, kernel_size=5),
-    "box 5": partial(filters.box_blur, kernel_size=5, border_type="circular"),
+    **{
+        f"box {size} {border}": partial(filters.box_blur, kernel_size=size, border_type=border)
+        for size in (3, 5, 7)
+        for border in ("constant", "reflect", "replicate", "circular")
+    },
     "laplacian": partial(filters.laplacian, kernel_size=3),
     "hue": partial(enhance.adjust_hue, factor=0.1),
     "sobel": filters.sobel,
@@ -89,6 +93,17 @@ def test_which_calls_compute_with_bytes(name, device):
     launched = kernels_of(call, torch.ones(2, 3, 13, 17, dtype=torch.uint8, device=device))
     assert kernel in launched
     assert "elementwise" not in launched  # no conversion
+
+
+def test_which_images_take_the_kernel_of_bytes_of_box(device):
+    if device.type != "cuda":
+        pytest.skip("needs --device cuda")
+    for size, width, taken in ((3, 23, False), (3, 24, True), (5, 24, True), (5, 33, True), (7, 48, False)):
+        x = torch.ones(1, 3, 12, width, dtype=torch.uint8, device=device)
+        call = partial(filters.box_blur, kernel_size=size)
+        assert ("box_groups" in kernels_of(call, x)) == taken, (size, width)
+        assert "box_groups" not in kernels_of(call, x.contiguous(memory_format=torch.channels_last))
+        assert "box_groups" not in kernels_of(call, x.half())
 
 
 def test_which_planes_of_equalize_stay_in_registers(device):

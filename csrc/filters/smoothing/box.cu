@@ -337,6 +337,8 @@ int launch(Box<T> const& p, bool transposed, CUstream_st* stream) {
   BoxAxis const across(p.kx, p.x.width, p.border, transposed), down(p.ky, p.x.height, p.border, transposed);
   bool const gathers = across.gathers() || down.gathers();
 
+  if constexpr (sizeof(T) == 1)
+    if (!transposed && box_of_bytes(p, stream)) return cudaGetLastError();
   if constexpr (sizeof(T) <= 4)
     // Special case, H200: 0.91 (box31 backward) to 5.6 (box5) times as fast as the tiles below.
     if (!gathers && supports_strips(p.x, p.ky, p.kx))

@@ -29,6 +29,10 @@ KV_KERNEL(box, Box)
 KV_KERNEL(box_backward, Box)
 KV_KERNEL(box_list, BoxList)
 KV_KERNEL(box_list_backward, BoxList)
+namespace cuda {
+// Means of 3 x 3 and 5 x 5 bytes in planes; false for all others.
+bool box_of_bytes(Box<uint8_t> const&, CUstream_st*);
+}  // namespace cuda
 
 // One axis of the sum. Pixel i sums the positions i - before ... i + after. Positions out of bounds follow `border`.
 //

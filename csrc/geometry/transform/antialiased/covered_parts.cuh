@@ -53,7 +53,7 @@ struct PartPlan {
                                  max(a.uy, b.uy),           max(a.vx, b.vx),           max(a.vy, b.vy)};
                        });
     varies = !tile.map.affine;
-    separable = !varies && footprint.xy == 0;
+    separable = !varies && footprint.is_separable();
     along_x = most.ux >= most.uy;
     reach_x = most.reach_x;
     reach_y = most.reach_y;

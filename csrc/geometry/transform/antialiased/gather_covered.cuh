@@ -113,7 +113,7 @@ struct CoveredGather {
     Footprint<F> const& f = shape.footprint;
     F const first_x = F(floor_to_int<F>(u - f.reach_x) + 1) - u, first_y = F(floor_to_int<F>(v - f.reach_y) + 1) - v;
     int const taps_x = -floor_to_int<F>(-2 * f.reach_x), taps_y = -floor_to_int<F>(-2 * f.reach_y);
-    if (f.xy == 0) {
+    if (f.is_separable()) {
       F across = 0, down = 0;
 #pragma unroll 1
       for (int i = 0; i < taps_x; ++i) across += vsaturate(1 - vabs(f.xx * (first_x + F(i))));

@@ -79,6 +79,10 @@ struct Footprint {
   F xx, xy, yy, reach_x, reach_y;
 
   KV_HD bool is_plain() const { return xx == 1 && xy == 0 && yy == 1; }
+  // Whether weights are products of one along each axis: xy is 0, or a rounding error, as that of rotations.
+  KV_HD bool is_separable() const {
+    return magnitude(xy) * max(reach_x, reach_y) < (sizeof(F) == 4 ? F(1e-6) : F(1e-15));
+  }
 };
 
 // What lies between J and S^-1: J J^T = [[p, q], [q, r]] has the eigenvalues s1^2 >= s2^2.

@@ -175,6 +175,20 @@ def test_tiles(filter, shape, size, device):
             assert_close(of_number, of_all, 0.0, 0.0)
 
 
+@pytest.mark.parametrize("width, columns", [(70_000, 16_000), (400_000, 3_000)])
+def test_products_of_long_sides_exceed_32_bits(width, columns, device):
+    a = torch.rand(1, 1, 3, width, dtype=torch.float64, requires_grad=True)
+    b = a.detach().to(device, torch.float32).requires_grad_()
+    matrix = matrices([(0, 0, width, 3)], [(False, False)], (2, columns), False).to(device)
+    expected = F.interpolate(a, (2, columns), mode="bilinear", antialias=True)
+    result = resized_windows(b, matrix, [2, columns], INTERPOLATION["bilinear"], False)
+    assert_close(result.double().cpu(), expected, 1e-5, 1e-5)
+    grad = torch.rand(expected.shape, dtype=torch.float64)
+    expected.backward(grad)
+    result.backward(grad.to(device, torch.float32))
+    assert_close(b.grad.double().cpu(), a.grad, 1e-5, 1e-5)
+
+
 def test_numbers_out_of_a_window_are_harmless(device):
     """Also those next to it, which share its vectors."""
     x = torch.full((2, 1, 16, 16), float("nan"), device=device)

@@ -57,8 +57,6 @@ inline int64_t stretched(int64_t source, int64_t result, int64_t most, bool alig
   if (!align_corners) return ceil_div(source * most, result);
   return result > 1 ? ceil_div((source - 1) * (most - 1), result - 1) + 1 : source;
 }
-// Coordinates of a tile have 32 bits.
-inline bool fits_coordinates(int64_t source, int64_t result) { return source * result <= INT32_MAX / 4; }
 
 // A batch with the largest sides and the most taps of all samples, whose tiles serve each of them.
 template <class T>
@@ -69,7 +67,7 @@ ResizeWindows<T> largest_of(ResizeWindowsList<T> const& p, bool& fits, bool& nea
     ResizeWindows<T> const one = sample_at(p, b);
     fits = fits && fits_tiles(one.x) && fits_tiles(one.y);
     near = near && has_near_planes(one.x) && has_near_planes(one.y);
-    fits = fits && fits_coordinates(one.x.height, one.y.height) && fits_coordinates(one.x.width, one.y.width);
+    fits = fits && fits_coordinates(one);
     largest.x.height = max(largest.x.height, one.x.height);
     largest.x.width = max(largest.x.width, one.x.width);
     largest.y.height = max(largest.y.height, one.y.height);

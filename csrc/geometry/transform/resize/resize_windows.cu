@@ -33,7 +33,7 @@ int resize_tiles(ResizeWindows<T> const& p, CUstream_st* stream) {
 template <class T>
 int resize_windows(ResizeWindows<T> const& p, CUstream_st* stream) {
   if constexpr (sizeof(T) < 8) {
-    if (fits_tiles(p.x) && fits_tiles(p.y)) {
+    if (fits_tiles(p.x) && fits_tiles(p.y) && fits_coordinates(p)) {
       int const error = resize_tiles(p, stream);
       if (error != kUnsupported) return error;
     }

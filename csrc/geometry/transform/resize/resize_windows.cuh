@@ -582,6 +582,14 @@ template <class P>
 bool has_near_planes(P const& images) {
   return images.plane(1) - images.plane(0) <= INT32_MAX / kPlanes;
 }
+// Coordinates of tiles have 32 bits, and their quotients 22.
+inline bool fits_coordinates(int64_t source, int64_t result) {
+  return max(source, result) < 1 << 22 && source * result <= INT32_MAX / 4;
+}
+template <class T>
+bool fits_coordinates(ResizeWindows<T> const& p) {
+  return fits_coordinates(p.source(0), p.result(0)) && fits_coordinates(p.source(1), p.result(1));
+}
 // Whether the kernel of tiles takes images.
 template <class P>
 bool fits_tiles(P const& images) {

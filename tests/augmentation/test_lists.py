@@ -209,6 +209,7 @@ CONTAINERS = {
     "once": lambda: A.ImageSequential(A.RandomAffine(20.0), A.RandomResizedCrop((12, 14)), resample="once"),
     "sizes": lambda: A.ImageSequential(A.Resize(20), torch.nn.AvgPool2d(2), A.CenterCrop((9, 9))),
     "OneOf": lambda: A.ImageSequential(A.OneOf(A.RandomAffine(20.0), A.RandomCrop((12, 14)), A.RandomGaussianNoise())),
+    "OneOf of moves": lambda: A.OneOf(A.RandomVerticalFlip(), A.RandomPerspective(0.5)),
     "OneOf of one size": lambda: A.OneOf(A.RandomResizedCrop((12, 14)), A.Resize((12, 14))),
     "SomeOf": lambda: A.SomeOf(A.RandomAffine(20.0, p=1.0), A.RandomGaussianNoise(p=1.0), A.RandomInvert(), n=(1, 2)),
     "RandomApply": lambda: A.RandomApply(A.RandomRotation(20.0, p=1.0), A.RandomInvert()),

@@ -234,3 +234,8 @@ def identity_values(draws: Sequence[Draw | Learned]) -> list[float]:
         else:
             values.append(draw.numbers[-1])
     return values
+
+
+def identity_of(requests: Sequence[Request]) -> list[float]:
+    """The same of the columns of requests, each of which begins with the one that says who is chosen."""
+    return [value for request in requests for value in (0.0, *identity_values(request.draws[1:]))]

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 from torch.compiler import is_compiling
 
+from kvision._constants import on_device
 from kvision.augmentation.columns import DrawPlan
 from kvision.augmentation.drawn_pass import DrawnListPass, DrawnPass, SizedDraws
 from kvision.augmentation.draws import HEADER, MAX_DRAWS, MAX_NUMBERS, SIZED, Draw, Request, make_plan
@@ -41,6 +42,9 @@ class ListPlan(NamedTuple):
     drawn_alone: SizedDraws | None  # the draws
     begins_with_batch: bool  # the first augmentation makes one
     reads_executions: bool  # what each augmentation has drawn is read in the call
+    identity: SizedNumbers | None = (
+        None  # the columns of images that get another augmentation, where these depend on sizes
+    )
 
     def keys(self, images: Sequence[Tensor], context: CallContext) -> Keys | None:
         """What the columns of a call are drawn from."""
@@ -68,7 +72,12 @@ class ListPlan(NamedTuple):
             own = sides_of(images)  # which checks them
             of_sizes = self._columns(images, keys, own), own
         columns, sides = of_sizes
-        return None, None if columns is None else self.run.of_owners(columns, owners), sides
+        if columns is None:
+            return None, None, sides
+        identity = None
+        if self.identity is not None:
+            identity = on_device(self.identity.of_sides(sides_of(images)).to(columns.dtype), columns.device)
+        return None, self.run.of_owners(columns, owners, identity), sides
 
     def _columns(self, images: Sequence[Tensor], keys: Keys | None, sides: Sequence[int]) -> Tensor | None:
         if self.draws is None or keys is None:
@@ -143,6 +152,12 @@ def _make_plan(
         draws = None
     if draws is not None and (_count_draws(draws) > MAX_DRAWS or len(draws.numbers) > MAX_NUMBERS):
         return None
+    identity = None
+    if run.identity:
+        identity = SizedNumbers.of(sized.reading.identity)
+        if identity is None or len(identity.constant) != len(run.identity):
+            return None
+        identity = identity if identity.at(*SIZES[0]) != identity.at(*SIZES[1]) else None
     drawn: DrawnListPass | DrawnPass | None = None
     sized_draws = None
     if draws is not None and not isinstance(numbers, NumbersOfEach):
@@ -160,7 +175,7 @@ def _make_plan(
             drawn = run.drawn if _draws_windows(sized) else None
     reads_executions = run.derives or len(run.steps) > steps or any(isinstance(step, Alone) for step in run.steps)
     flags = begins_with_batch, begins_with_batch or reads_executions
-    return ListPlan(run, sized, draws, places, numbers, drawn, sized_draws, *flags)
+    return ListPlan(run, sized, draws, places, numbers, drawn, sized_draws, *flags, identity)
 
 
 def _draws_windows(sized: Sized) -> bool:

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from kvision._constants import constant, on_device
-from kvision.augmentation.columns import Columns, DrawPlan, Span, identity_values, plan_draws
+from kvision.augmentation.columns import Columns, DrawPlan, Span, identity_of, plan_draws
 from kvision.augmentation.displacements import NoiseField
 from kvision.augmentation.drawn_links import DrawnLinks
 from kvision.augmentation.drawn_pass import DrawnPass
@@ -56,13 +56,16 @@ class RunPlan(NamedTuple):
         columns = columns.repeat_interleave(frames, 0) if frames > 1 else columns
         return self.of_owners(columns, context.owners)
 
-    def of_owners(self, columns: Tensor, owners: Tensor | None) -> Tensor:
-        """Drawn columns, and others behind them, where samples get only the augmentations that `owners` (B,) says."""
+    def of_owners(self, columns: Tensor, owners: Tensor | None, identity: Tensor | None = None) -> Tensor:
+        """Drawn columns, and others behind them, where samples get only the augmentations that `owners` (B,) says.
+
+        `identity` (B, P) replaces what is the same for all samples.
+        """
         if self.owners is None or owners is None:
             return columns
         own = on_device(owners[:, None] == self.owners, columns.device)
         drawn = columns[:, : len(self.identity)]
-        chosen = torch.where(own, drawn, constant(self.identity, columns))
+        chosen = torch.where(own, drawn, constant(self.identity, columns) if identity is None else identity)
         return chosen if drawn.shape == columns.shape else torch.cat([chosen, columns[:, len(self.identity) :]], 1)
 
     def executions(self, x: Tensor, columns: Tensor | None, keys: Keys | None, frames: int = 1) -> list[Execution]:
@@ -162,5 +165,4 @@ def _with_spans(
 def _owners_of_columns(requests: Sequence[Request], spans: Sequence[Span]) -> tuple[Tensor, tuple[float, ...]]:
     """The number of the request of each column, and what the column holds for samples that are not chosen."""
     owners = [number for number, span in enumerate(spans) for _ in range(span.width)]
-    identity = [value for request in requests for value in (0.0, *identity_values(request.draws[1:]))]
-    return torch.tensor(owners, device="cpu"), tuple(identity)
+    return torch.tensor(owners, device="cpu"), tuple(identity_of(requests))

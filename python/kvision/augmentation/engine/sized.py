@@ -17,8 +17,8 @@ import torch
 from torch import Tensor
 from torch.compiler import is_compiling
 
-from kvision.augmentation.columns import Column, Span
-from kvision.augmentation.draws import Draw
+from kvision.augmentation.columns import Column, Span, identity_of
+from kvision.augmentation.draws import Draw, Request
 from kvision.augmentation.engine.call_context import CallContext
 from kvision.augmentation.engine.drawing import may_apply
 from kvision.augmentation.engine.execution import Shape
@@ -126,12 +126,19 @@ class Reading:
 
     def draws(self, size: Size) -> list[Any]:
         """Those of all augmentations, as `plan_run` asks for them."""
+        return [draw for request in self._requests(size) for draw in request.draws]
+
+    def identity(self, size: Size) -> list[float]:
+        """What the columns hold for samples that get none of the augmentations."""
+        return identity_of(self._requests(size))
+
+    def _requests(self, size: Size) -> list[Request]:
         requests = [
             m._request(shape, self.is_certain, self.has_owners)
             for m, shape in zip(self.modules, self.shapes(size))
             if may_apply(m, self.is_certain)
         ]
-        return [draw for request in requests if request is not None for draw in request.draws]
+        return [request for request in requests if request is not None]
 
     def chains(self, size: Size) -> list[Sequence[Transform]]:
         """The formulas of each augmentation; none of one without a matrix."""

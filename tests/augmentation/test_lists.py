@@ -216,8 +216,12 @@ CONTAINERS = {
     "random_apply": lambda: A.ImageSequential(A.RandomAffine(20.0), A.RandomInvert(), random_apply=1),
     "RandAugment": lambda: A.auto.RandAugment(2, 9),
     "chance": lambda: A.ImageSequential(A.RandomCrop((12, 14), p=0.5), A.RandomHorizontalFlip()),
+    "zoom behind chance": lambda: A.ImageSequential(A.RandomCrop((12, 14), p=0.5), A.RandomZoomOut(p=1.0)),
+    "zoom behind a batch": lambda: A.ImageSequential(
+        A.RandomHorizontalFlip(), A.RandomResizedCrop((12, 14)), A.RandomInvert(), A.RandomZoomOut(p=1.0)
+    ),
 }
-BATCHES = ("late crop", "once", "sizes", "OneOf of one size")
+BATCHES = ("late crop", "once", "sizes", "OneOf of one size", "zoom behind a batch")
 
 
 @pytest.mark.parametrize("name", CONTAINERS)

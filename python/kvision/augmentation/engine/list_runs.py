@@ -64,7 +64,7 @@ class ListRun(ImagesOfList):
         executions = plan.executions(images, columns, keys) if plan.reads_executions else []
         if run.derives and columns is not None:
             width, sized = run.draws[0].plan[0], columns.shape[1]  # the numbers of sizes follow what is derived
-            sizes_before = partial(self._sizes_before, images)
+            sizes_before = partial(self._sizes_before, images, executions)
             columns = with_derived(modules, executions, columns, run, self.context, sizes_before)
             columns = torch.cat([columns[:, :width], columns[:, sized:], columns[:, width:sized]], 1)
             executions = plan.executions(images, columns, keys)
@@ -81,10 +81,12 @@ class ListRun(ImagesOfList):
             self.context = self.context._replace(labels=None)  # which have the images, that would be kept
         return y if run.steps else list(images), stages, executions
 
-    def _sizes_before(self, images: Sequence[Tensor], number: int) -> Tensor:
+    def _sizes_before(self, images: Sequence[Tensor], executions: Sequence[Execution], number: int) -> Tensor:
         """Height and width (B, 2) of images before an augmentation."""
-        sizes = torch.tensor(self.sized.sizes_after(range(number), images), dtype=torch.float32, device="cpu")
-        return on_device(sizes.view(-1, 2), images[0].device)
+        has_one_size = number > self.sized.own
+        sides = executions[number].shape[2:] if has_one_size else self.sized.sizes_after(range(number), images)
+        sizes = on_device(torch.tensor(sides, dtype=torch.float32, device="cpu").view(-1, 2), images[0].device)
+        return sizes.expand(len(images), 2)
 
     @cached_property
     def like(self) -> Tensor:

@@ -213,7 +213,7 @@ class Sized:
         shape: Shape = (*self.reading.shape, *size)
         for number in numbers:
             module = self.reading.modules[number]
-            shape = module.output_shape(shape, module.flags)
+            shape = module.output_shape(shape, module.flags) if self.reading.applied[number] else shape
         return shape[2:]
 
     def bound(

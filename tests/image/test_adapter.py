@@ -67,6 +67,17 @@ def test_modes_become_rgb(mode: str) -> None:
     assert torch.equal(K.to_tensor(picture), torch.from_numpy(expected.copy()).movedim(-1, 0))
 
 
+def test_palettes_keep_alpha() -> None:
+    opaque = PIL.Image.fromarray(PHOTO)
+    half = opaque.copy()
+    half.putalpha(128)
+    one = opaque.quantize(4)
+    one.info["transparency"] = 0
+    for picture in (half.quantize(4), one):
+        expected = torch.from_numpy(np.array(picture.convert("RGBA"))).movedim(-1, 0)
+        assert picture.mode == "P" and expected[3].min() < 255 and torch.equal(K.to_tensor(picture), expected)
+
+
 def test_scaling_by_the_range_of_types() -> None:
     levels = torch.from_numpy(GRAY)[None]
     for numpy_type, largest in ((np.uint8, 255), (np.uint16, 65535), (np.int32, 2**31 - 1)):

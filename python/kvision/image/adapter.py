@@ -157,7 +157,9 @@ def _tensors(op: str, name: str, x: Any, dtype: torch.dtype | None, bgr: bool) -
         image = _channels_first(op, name, x)
         return to_dtype(_swapped(op, image) if bgr else image, dtype)
     if _check.is_pil(x):
-        mode = ("RGBA" if "transparency" in x.info else "RGB") if x.mode == "P" else _MODES.get(x.mode)
+        mode = _MODES.get(x.mode)
+        if x.mode == "P":
+            mode = "RGBA" if "transparency" in x.info or getattr(x.palette, "mode", "RGB") == "RGBA" else "RGB"
         return to_dtype(_channels_first(op, name, np.array(x if mode is None else x.convert(mode))), dtype)
     raise TypeCheckError(
         f"{op}: expected {name} to be a Tensor, an array, a PIL image or a path, or a list of those, got {type(x).__name__}",

@@ -11,40 +11,27 @@ __global__ void __launch_bounds__(kThreads, kBlocks<T, K>)
   sample_block<K, ByFormula, Aligned>(p, tiles);
 }
 
-// A block takes the four parts of an anchor, or one where these are blocks of their own.
 template <bool ByFormula, bool Wide>
-__global__ void __launch_bounds__(kThreads, 4)
-    sample_byte_tiles(__grid_constant__ Sample<uint8_t> const p, unsigned across, unsigned down) {
+__global__ void __launch_bounds__(kThreads, kByteBlocks)
+    sample_byte_tiles(__grid_constant__ Sample<uint8_t> const p, ByteGrid grid) {
   __shared__ ByteBlock block;
   extern __shared__ __align__(16) unsigned char shared_pixels[];
-  unsigned const row = blockIdx.x / across, sample = row / down;
-  int const x = int(blockIdx.x - row * across) * kAnchor, y = int(row - sample * down) * kAnchor;
-  int const parts = ByteBlock::kMost / int(gridDim.y), first = int(blockIdx.y) * parts;
   float made[9];
-  block.prepare<true>(
-      p, shared_pixels, sample, parts,
-      [&](int number, int& part_x, int& part_y) {
-        int const part = first + number;
-        part_x = x + part % 2 * kTile;
-        part_y = y + part / 2 * kTile;
-      },
-      [&](int64_t b) -> float const* {
-        if constexpr (!ByFormula) return p.coords.matrices + b * p.coords.matrix_stride;
-        make_plane_matrix(p.formula, b, made);
-        return made;
-      });
+  block.prepare(p, shared_pixels, grid, [&](int64_t b) -> float const* {
+    if constexpr (!ByFormula) return p.coords.matrices + b * p.coords.matrix_stride;
+    make_plane_matrix(p.formula, b, made);
+    return made;
+  });
   block.sample<Wide>(p, shared_pixels);
 }
 
 int sample_bytes(Sample<uint8_t> const& p, CUstream_st* stream) {
-  int64_t const across = ceil_div(p.y.width, kAnchor), down = ceil_div(p.y.height, kAnchor);
-  int64_t const blocks = p.y.batch * across * down;
-  unsigned const splits = blocks < 2048 ? ByteBlock::kMost : 1;  // so that every multiprocessor has some
+  ByteGrid const anchors(p.y.height, p.y.width, kByteAnchor);
+  ByteGrid const grid(p.y.height, p.y.width, byte_side(p.y.batch * anchors.across * anchors.down));
   auto const run = [&](auto kernel) {
-    kernel<<<dim3(unsigned(blocks), splits), kThreads, ByteSource::kBytes, stream>>>(p, unsigned(across),
-                                                                                     unsigned(down));
+    kernel<<<unsigned(p.y.batch * grid.across * grid.down), kThreads, ByteSource::kBytes, stream>>>(p, grid);
   };
-  bool const wide = rows_are_words(p.y);
+  bool const wide = rows_are_dense(p.y);
   if (p.formula.id == WarpFormula::none)
     wide ? run(sample_byte_tiles<false, true>) : run(sample_byte_tiles<false, false>);
   else

@@ -116,6 +116,9 @@ inline int tiles_per_block(int64_t batch, int64_t height, int64_t width) {
   int64_t const tiles = batch * ((height + kTile - 1) / kTile) * ((width + kTile - 1) / kTile);
   return tiles >= 16384 ? kMaxTilesPerBlock : tiles >= 4096 ? kMaxTilesPerBlock / 2 : 1;
 }
+// Of bytes by a matrix it takes kByteAnchor x kByteAnchor pixels, or kTile x kTile where there are few.
+constexpr int kByteAnchor = 64;
+inline int byte_side(int64_t anchors) { return anchors < 2048 ? kTile : kByteAnchor; }
 
 KV_KERNEL(sample, Sample)
 KV_KERNEL(sample_coords_backward, SampleCoordsBackward)

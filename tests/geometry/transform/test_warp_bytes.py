@@ -99,6 +99,36 @@ def test_results_depend_on_no_memory_and_no_neighbors(device):
                 assert torch.equal(G.warp_perspective(x.repeat(32, 1, 1, 1), M.repeat(32, 1, 1), size)[-2:], y)
 
 
+@pytest.mark.parametrize("padding", ["zeros", "border", "reflection"])
+def test_views_have_the_results_of_copies(padding, device):
+    M = matrices("turned", 2, 1.3).to(device)
+    for height, width in ((40, 136), (36, 128), (9, 16)):
+        for layout in (torch.contiguous_format, torch.channels_last):
+            memory = noise((2, 3, height, width)).to(device).contiguous(memory_format=layout)
+            for rows, columns in (
+                (slice(None), slice(0, -3)),
+                (slice(1, None), slice(8, None)),
+                (slice(2, -1), slice(5, -8)),
+            ):
+                x = memory[..., rows, columns]
+                y = G.warp_perspective(x, M, (35, 99), padding_mode=padding)
+                copy = x.contiguous(memory_format=torch.contiguous_format)
+                assert errors(copy.cpu(), M.cpu(), (35, 99), device, padding_mode=padding).max() <= CLOSE
+                if device.type == "cuda":
+                    assert torch.equal(y, G.warp_perspective(copy, M, (35, 99), padding_mode=padding))
+                else:
+                    assert (
+                        y.int() - G.warp_perspective(copy, M, (35, 99), padding_mode=padding).int()
+                    ).abs().max() <= 1
+
+
+def test_long_lists_have_the_results_of_batches(device):
+    x, M = noise((4, 3, 9, 70)).to(device), matrices("turned", 4, 1.3).to(device)
+    expected = G.warp_perspective(x, M, (7, 66))
+    y = G.warp_perspective([*x] * 256, M.repeat(256, 1, 1), (7, 66))
+    assert torch.equal(y, expected.repeat(256, 1, 1, 1))
+
+
 def test_means_midway_between_levels_are_rounded_to_the_even_one(device):
     x, M = noise((2, 3, 37, 53)), torch.eye(3).repeat(2, 1, 1)
     M[:, :2, 2] = 0.5

@@ -8,21 +8,28 @@
 namespace kv::geometry::cuda {
 namespace {
 
-template <class S>
+template <class S, class Grid = TileGrid>
 struct ListBlock {
   S sample;
-  TileGrid tiles;
+  Grid tiles;
 
   // By all threads, which then see it, in shared memory: the sample of the block's index, whose tiles are those of an
   // image of `size(sample)`.
   template <class List, class SizeOf>
   static __device__ __forceinline__ ListBlock const& make(void* memory, List const& p, int tiles_per_block,
                                                           SizeOf size) {
+    return make(memory, p, [&](S const& sample) {
+      Size const output = size(sample);
+      return TileGrid(1, output.height, output.width, tiles_per_block);
+    });
+  }
+  // Whose tiles are `grid(sample)`.
+  template <class List, class GridOf>
+  static __device__ __forceinline__ ListBlock const& make(void* memory, List const& p, GridOf grid) {
     if (threadIdx.x == 0) {
       int const b = p.list.sample_of(int(blockIdx.x));
       S const sample = sample_at(p, b);
-      Size const output = size(sample);
-      TileGrid tiles(1, output.height, output.width, tiles_per_block);
+      Grid tiles = grid(sample);
       tiles.first_block = unsigned(p.list.first[b]);
       new (memory) ListBlock{sample, tiles};
     }

@@ -12,7 +12,7 @@ template <class T>
 struct SampleList {
   Sample<T> all;
   ListedSamples list;
-  int tiles_per_block;  // on CUDA
+  int tiles_per_block, byte_side;  // on CUDA
 };
 
 // The gradients of the images: the list has those of the results, and what is written; on CUDA what is added to, zeros,

@@ -17,25 +17,17 @@ __global__ void __launch_bounds__(kThreads, kBlocks<T, K>)
   sample_block<K, false, Aligned>(block.sample, block.tiles);
 }
 
-__global__ void __launch_bounds__(kThreads, 4)
-    sample_byte_list_tiles(__grid_constant__ SampleList<uint8_t> const p, int tiles_per_block) {
-  using Block = ListBlock<Sample<uint8_t>>;
+__global__ void __launch_bounds__(kThreads, kByteBlocks)
+    sample_byte_list_tiles(__grid_constant__ SampleList<uint8_t> const p) {
+  using Block = ListBlock<Sample<uint8_t>, ByteGrid>;
   __shared__ __align__(16) unsigned char memory[sizeof(Block)];
   __shared__ ByteBlock parts;
   extern __shared__ __align__(16) unsigned char shared_pixels[];
   Block const& block =
-      Block::make(memory, p, tiles_per_block, [](Sample<uint8_t> const& s) -> Size { return {s.y.height, s.y.width}; });
+      Block::make(memory, p, [&](Sample<uint8_t> const& s) { return ByteGrid(s.y.height, s.y.width, p.byte_side); });
   Sample<uint8_t> const& sample = block.sample;
-  parts.prepare<false>(
-      sample, shared_pixels, 0, tiles_per_block,
-      [&](int number, int& x, int& y) {
-        Tile<float> tile;
-        tile.locate(block.tiles, number);
-        x = tile.x;
-        y = tile.y;
-      },
-      [&](int64_t) { return sample.coords.matrices; });
-  if (rows_are_words(sample.y))
+  parts.prepare(sample, shared_pixels, block.tiles, [&](int64_t) { return sample.coords.matrices; });
+  if (rows_are_dense(sample.y))
     parts.sample<true>(sample, shared_pixels);
   else
     parts.sample<false>(sample, shared_pixels);
@@ -47,7 +39,7 @@ template <class T>
 int sample_list(SampleList<T> const& p, CUstream_st* stream) {
   if constexpr (sizeof(T) == 1) {
     if (p.all.interpolation == Interpolation::bilinear) {
-      sample_byte_list_tiles<<<unsigned(p.list.items), kThreads, ByteSource::kBytes, stream>>>(p, p.tiles_per_block);
+      sample_byte_list_tiles<<<unsigned(p.list.items), kThreads, ByteSource::kBytes, stream>>>(p);
       return cudaGetLastError();
     }
   }

@@ -41,6 +41,14 @@ inline int tiles_per_block_of(ListSizes const& sizes, size_t count) {
   return tiles_per_block(1, kTile, tiles * kTile);
 }
 
+// Blocks of a result of bytes, and the side of a block for `count` of them.
+inline int64_t byte_blocks_of(Size size, int side) { return ceil_div(size.height, side) * ceil_div(size.width, side); }
+inline int byte_side_of(ListSizes const& sizes, size_t count) {
+  int64_t anchors = 0;
+  for (size_t b = 0; b < count; ++b) anchors += byte_blocks_of(sizes[b], kByteAnchor);
+  return byte_side(anchors);
+}
+
 // Warps images to `results` of a layout: a batch (B, C, h, w), or a list.
 inline void warp_to(Tensors const& results, Layout layout, Tensors const& images, SamplingOptions const& a,
                     Matrix const& m, ListSizes const& sizes, bool antialias = false) {
@@ -57,12 +65,15 @@ inline void warp_to(Tensors const& results, Layout layout, Tensors const& images
     p.all.x.channels = int(channels);
     p.list.interleaved = layout == Layout::channels_last;
     p.tiles_per_block = per_block;
+    bool const by_anchors = sizeof(T) == 1 && !antialias && p.all.interpolation == Interpolation::bilinear;
+    p.byte_side = by_anchors ? byte_side_of(sizes, count) : 0;
     Sampling<T> const all = p.all;
     for_each_table(
         p.list, count, [&](size_t b) { return checked_planes(op, listed(images[b])); },
         [&](size_t b) { return checked_planes(op, outputs[b]); },
         [&](size_t b) {
-          return kOnCuda ? blocks_of(sizes[b], per_block) : ceil_div(sizes[b].height, rows_of_item(sizes[b].width));
+          if (!kOnCuda) return ceil_div(sizes[b].height, rows_of_item(sizes[b].width));
+          return by_anchors ? byte_blocks_of(sizes[b], p.byte_side) : blocks_of(sizes[b], per_block);
         },
         [&](size_t first) {
           skip_samples<T>(p.all, all, int64_t(first));

@@ -12,6 +12,8 @@
 namespace kv::geometry::cuda {
 namespace {
 
+constexpr int kByteBlocks = 4;  // on a multiprocessor at once
+
 // --- fixed point -----------------------------------------------------------------------------------------------------
 
 // A coordinate, relative to the (u, v) of its tile, in multiples of 2^-15. Coordinates within kByteReach are the last
@@ -106,35 +108,37 @@ struct ByteSource {
            columns <= kPitch && rows <= kRows && (inside || (p.x_axis.padding != Padding::reflection && !p.fill));
   }
 
-  // Eight bytes at any address, by whole words.
-  static __device__ __forceinline__ void load(uint8_t const* from, bool aligned, uint32_t& a, uint32_t& b) {
-    if (aligned) {
-      uint2 const two = __ldg(reinterpret_cast<uint2 const*>(from));
-      a = two.x, b = two.y;
-      return;
+  // W words at any address are shifted out of whole words of memory, one more unless Aligned. That one is read only if
+  // it has some of the bytes.
+  template <int W, bool Aligned>
+  static __device__ __forceinline__ void load(uint8_t const* from, uint32_t (&to)[W + !Aligned]) {
+    if constexpr (Aligned) {
+#pragma unroll
+      for (int i = 0; i < W; i += 2) {
+        uint2 const two = __ldg(reinterpret_cast<uint2 const*>(from) + i / 2);
+        to[i] = two.x, to[i + 1] = two.y;
+      }
+    } else {
+      auto const address = reinterpret_cast<uintptr_t>(from);
+      auto const* const words = reinterpret_cast<uint32_t const*>(address & ~uintptr_t(3));
+#pragma unroll
+      for (int i = 0; i < W; ++i) to[i] = __ldg(words + i);
+      to[W] = 0;
+      if (address & 3) to[W] = __ldg(words + W);
     }
-    auto const word_of = [](uint8_t const* at) {
-      return __ldg(reinterpret_cast<uint32_t const*>(at - (reinterpret_cast<uintptr_t>(at) & 3)));
-    };
-    int const shift = int(reinterpret_cast<uintptr_t>(from) & 3) * 8;
-    uint32_t const second = word_of(from + 4);
-    a = __funnelshift_r(word_of(from), second, shift);
-    b = __funnelshift_r(second, word_of(from + 7), shift);
   }
   // Those of a group as a word for each pixel.
-  template <int N>
-  static __device__ __forceinline__ void spread(uint32_t const (&from)[2 * N], bool interleaved, uint32_t (&to)[8]) {
-    if constexpr (N == 3) {
-      if (interleaved) {
+  template <int N, bool Interleaved>
+  static __device__ __forceinline__ void spread(uint32_t const (&from)[2 * N], uint32_t (&to)[kGroup]) {
+    if constexpr (Interleaved) {
 #pragma unroll
-        for (int i = 0; i < 2; ++i) {
-          to[4 * i] = from[3 * i];
-          to[4 * i + 1] = __funnelshift_r(from[3 * i], from[3 * i + 1], 24);
-          to[4 * i + 2] = __funnelshift_r(from[3 * i + 1], from[3 * i + 2], 16);
-          to[4 * i + 3] = from[3 * i + 2] >> 8;
-        }
-        return;
+      for (int i = 0; i < 2; ++i) {
+        to[4 * i] = from[3 * i];
+        to[4 * i + 1] = __funnelshift_r(from[3 * i], from[3 * i + 1], 24);
+        to[4 * i + 2] = __funnelshift_r(from[3 * i + 1], from[3 * i + 2], 16);
+        to[4 * i + 3] = from[3 * i + 2] >> 8;
       }
+    } else if constexpr (N == 3) {
 #pragma unroll
       for (int i = 0; i < 2; ++i) {
         uint32_t const low = __byte_perm(from[i], from[2 + i], 0x5140),
@@ -147,7 +151,7 @@ struct ByteSource {
     } else {
       static_assert(N == 1);
 #pragma unroll
-      for (int i = 0; i < 8; ++i) to[i] = from[i / 4] >> 8 * (i % 4);
+      for (int i = 0; i < kGroup; ++i) to[i] = from[i / 4] >> 8 * (i % 4);
     }
   }
 
@@ -155,79 +159,141 @@ struct ByteSource {
   template <int N>
   __device__ __forceinline__ void stage(Images<uint8_t const> const& x, int64_t image, int first,
                                         Axis<float> const& x_axis, Axis<float> const& y_axis) const {
-    constexpr int kThreadsOfRow = 16, kRowsAtOnce = kThreads / kThreadsOfRow, kLoads = 3;
     __syncthreads();  // before the current contents are overwritten
-    int const row_stride = int(x.row_stride), step = int(x.step);
     uint8_t const* planes[N];
-    uintptr_t bits = uintptr_t(row_stride);
+    uintptr_t bits = uintptr_t(x.row_stride) | uintptr_t(x_axis.size);
 #pragma unroll
     for (int k = 0; k < N; ++k) {
       planes[k] = x.row(image, first + k, 0);
-      bits |= reinterpret_cast<uintptr_t>(planes[k]);
+      if (k == 0 || x.step == 1) bits |= reinterpret_cast<uintptr_t>(planes[k]);
     }
-    bool const interleaved = N == 3 && step == 3 && x.channel_stride == 1;
-    bool const aligned =
-        ((interleaved ? uintptr_t(row_stride) | reinterpret_cast<uintptr_t>(planes[0]) : bits) & 7) == 0;
-    bool const by_groups = step == 1 || interleaved, rows_exist = top >= 0 && top + rows <= y_axis.size;
-    // The columns of whole groups that are inside of the image.
-    int const begin = by_groups ? max(-left, 0) : columns;
-    int const end =
-        by_groups ? max(min((columns + kGroup - 1) & -kGroup, (x_axis.size - left) & -kGroup), begin) : columns;
-    int const column = int(threadIdx.x) % kThreadsOfRow * kGroup;
-    if (column >= begin && column < end) {
+    bool const aligned = bits % kGroup == 0;
+    if (x.step == 1 && x_axis.size >= kGroup) {
+      aligned ? stage_groups<N, true, false>(planes, int(x.row_stride), x_axis, y_axis)
+              : stage_groups<N, false, false>(planes, int(x.row_stride), x_axis, y_axis);
+    } else if (N == 3 && x.step == 3 && x.channel_stride == 1 && x_axis.size >= kGroup) {
+      if constexpr (N == 3)
+        aligned ? stage_groups<N, true, true>(planes, int(x.row_stride), x_axis, y_axis)
+                : stage_groups<N, false, true>(planes, int(x.row_stride), x_axis, y_axis);
+    } else {
+      stage_pixels<N>(planes, int(x.row_stride), int(x.step), x_axis, y_axis);
+    }
+    __syncthreads();
+  }
+
+  // A thread takes groups of a column, as many threads side by side as the tile has columns of groups. A group that is
+  // not all inside of the image is the outermost one that is, moved.
+  template <int N, bool Aligned, bool Interleaved>
+  __device__ __forceinline__ void stage_groups(uint8_t const* const (&planes)[N], int row_stride,
+                                               Axis<float> const& x_axis, Axis<float> const& y_axis) const {
+    constexpr int kLoads = Aligned ? 4 : 2;  // before the first of them is waited for
+    constexpr int kSources = Interleaved ? 1 : N, kWords = 2 * N / kSources;
+    int const across = (columns + kGroup - 1) / kGroup;
+    int const first_row = int((float(threadIdx.x) + 0.5f) * __frcp_rn(float(across)));
+    int const rows_at_once = int((float(kThreads) + 0.5f) * __frcp_rn(float(across)));
+    if (first_row >= rows_at_once) return;
+    int const column = (int(threadIdx.x) - first_row * across) * kGroup, from = left + column;
+    bool const border = x_axis.padding == Padding::border;
+    int const start = clamp(from, 0, x_axis.size - kGroup), past = from - start;
+    int const offset = start * (Interleaved ? N : 1);
+    uint32_t* to = words + (first_row * kPitch + column);
 #pragma unroll 1
-      for (int row = int(threadIdx.x) / kThreadsOfRow; row < rows; row += kLoads * kRowsAtOnce) {
-        uint32_t loaded[kLoads][2 * N];
+    for (int row = first_row; row < rows; row += kLoads * rows_at_once) {
+      uint32_t loaded[kLoads][kSources][kWords + !Aligned];
+      int at[kLoads];
 #pragma unroll
-        for (int i = 0; i < kLoads; ++i) {
-          int const own = row + i * kRowsAtOnce;
-          int y = top + own;
-          if (!rows_exist) y = pixel_at(y_axis, y);
-          bool const exists = own < rows && unsigned(y) < unsigned(y_axis.size);
-          int const at = y * row_stride + (left + column) * step;
+      for (int i = 0; i < kLoads; ++i) {
+        int const y = clamp(top + min(row + i * rows_at_once, rows - 1), 0, y_axis.size - 1);
+        at[i] = y * row_stride + offset;
 #pragma unroll
-          for (int k = 0; k < N; ++k) {
-            loaded[i][2 * k] = loaded[i][2 * k + 1] = 0;
-            if (exists)
-              load(interleaved ? planes[0] + (at + 8 * k) : planes[k] + at, aligned, loaded[i][2 * k],
-                   loaded[i][2 * k + 1]);
-          }
+        for (int k = 0; k < kSources; ++k) load<kWords, Aligned>(planes[k] + at[i], loaded[i][k]);
+      }
+#pragma unroll
+      for (int i = 0; i < kLoads; ++i) {
+        int const own = row + i * rows_at_once;
+        if (own >= rows) break;
+        uint32_t bytes[2 * N], pixels[kGroup];
+#pragma unroll
+        for (int k = 0; k < kSources; ++k) {
+          int const shift = int(reinterpret_cast<uintptr_t>(planes[k]) + unsigned(at[i])) * 8;
+#pragma unroll
+          for (int j = 0; j < kWords; ++j)
+            if constexpr (Aligned)
+              bytes[kWords * k + j] = loaded[i][k][j];
+            else
+              bytes[kWords * k + j] = __funnelshift_r(loaded[i][k][j], loaded[i][k][j + 1], shift);
         }
-#pragma unroll
-        for (int i = 0; i < kLoads; ++i) {
-          int const own = row + i * kRowsAtOnce;
-          uint32_t pixels[8];
-          spread<N>(loaded[i], interleaved, pixels);
-          if (own >= rows) break;
-          auto* const to = reinterpret_cast<uint4*>(words + (own * kPitch + column));
-          to[0] = {pixels[0], pixels[1], pixels[2], pixels[3]};
-          if (column + 4 < kPitch) to[1] = {pixels[4], pixels[5], pixels[6], pixels[7]};
-        }
+        spread<N, Interleaved>(bytes, pixels);
+        bool const exists = border || unsigned(top + own) < unsigned(y_axis.size);
+        if (past != 0 || !exists) move(pixels, exists ? past : kGroup, border);
+        auto* const vectors = reinterpret_cast<uint4*>(to);
+        vectors[0] = {pixels[0], pixels[1], pixels[2], pixels[3]};
+        if (column + 4 < kPitch) vectors[1] = {pixels[4], pixels[5], pixels[6], pixels[7]};
+        to += rows_at_once * kPitch;
       }
     }
-    // The others pixel by pixel.
-    int const others = columns - (min(end, columns) - min(begin, columns));
+  }
+  // To the left, or all to the right.
+  static __device__ __forceinline__ void move(uint32_t (&pixels)[kGroup], int by, bool border) {
+    uint32_t const outside = !border ? 0 : by < 0 ? pixels[0] : pixels[kGroup - 1];
+    if (by < 0 || by >= kGroup) {
+#pragma unroll
+      for (int i = 0; i < kGroup; ++i) pixels[i] = outside;
+      return;
+    }
+#pragma unroll
+    for (int step = kGroup / 2; step > 0; step /= 2)
+      if (by & step)
+#pragma unroll
+        for (int i = 0; i < kGroup; ++i) pixels[i] = i + step < kGroup ? pixels[i + step] : outside;
+  }
+
+  template <int N>
+  __device__ __forceinline__ void stage_pixels(uint8_t const* const (&planes)[N], int row_stride, int step,
+                                               Axis<float> const& x_axis, Axis<float> const& y_axis) const {
 #pragma unroll 1
-    for (int i = threadIdx.x; i < others * rows; i += kThreads) {
-      int const own = i / others, rest = i - own * others, own_column = rest < begin ? rest : rest - begin + end;
-      int const y = pixel_at(y_axis, top + own), from = pixel_at(x_axis, left + own_column);
+    for (int i = threadIdx.x; i < columns * rows; i += kThreads) {
+      int const row = i / columns, column = i - row * columns;
+      int const y = pixel_at(y_axis, top + row), from = pixel_at(x_axis, left + column);
       uint32_t pixel = 0;
       if (unsigned(y) < unsigned(y_axis.size) && unsigned(from) < unsigned(x_axis.size)) {
         int const at = y * row_stride + from * step;
 #pragma unroll
         for (int k = 0; k < N; ++k) pixel |= uint32_t(planes[k][at]) << 8 * k;
       }
-      words[own * kPitch + own_column] = pixel;
+      words[row * kPitch + column] = pixel;
     }
-    __syncthreads();
   }
 };
 
 // --- parts of tiles --------------------------------------------------------------------------------------------------
 
+// Stores W words of each of eight threads, the next to those of the thread before, at any address: aligned words, each
+// of two adjacent ones, and one by one the four bytes that are left, the first and the last of all.
+template <int W>
+__device__ __forceinline__ void store_words(uint8_t* to, uint32_t const (&words)[W]) {
+  int const lane = threadIdx.x % 8, past = int(reinterpret_cast<uintptr_t>(to) & 3);
+  if (past == 0) {
+#pragma unroll
+    for (int i = 0; i < W; ++i) reinterpret_cast<uint32_t*>(to)[i] = words[i];
+    return;
+  }
+  unsigned const row = 0xffu << (threadIdx.x & 24);
+  uint32_t const next = __shfl_down_sync(row, words[0], 1, 8);
+  auto* const aligned = reinterpret_cast<uint32_t*>(to + (4 - past));
+#pragma unroll
+  for (int i = 0; i < W; ++i) {
+    uint32_t const word = __funnelshift_rc(words[i], i + 1 < W ? words[i + 1] : next, 32 - 8 * past);
+    if (i + 1 < W || lane < 7) aligned[i] = word;
+  }
+  bool const leads = lane < 4 - past;
+  uint32_t const end = __shfl_sync(row, lane == 0 ? words[0] : words[W - 1], leads ? 0 : 7, 8);
+  if (lane < 4) to[(leads ? lane : 32 * W - 4 + lane) - 4 * W * lane] = uint8_t(end >> 8 * lane);
+}
+
 // A thread has four pixels of the output: adjacent ones of a row if Wide, otherwise of a column. Coordinates count from
 // the anchor, so that they are the same in parts of any size.
-constexpr int kAnchor = 64;
+constexpr int kAnchor = kByteAnchor;
 
 struct BytePart {
   int x, y, side;  // of the output
@@ -251,6 +317,7 @@ __device__ __forceinline__ void sample_part(Sample<uint8_t> const& p, Tile<float
 #pragma unroll
   for (int i = 0; i < 4; ++i) columns[i] = float(min(x + (Wide ? (i + turn) & 3 : 0), width - 1) - tile.x);
   if (x >= width) return;
+  bool const whole = part.x + 32 * (warp & twice) + 32 <= width;  // the row of a warp
   uint8_t* planes[N];
 #pragma unroll
   for (int k = 0; k < N; ++k) planes[k] = p.y.row(tile.b, first + k, 0);
@@ -288,18 +355,41 @@ __device__ __forceinline__ void sample_part(Sample<uint8_t> const& p, Tile<float
       }
     }
     if constexpr (Wide) {
-      int const to = y * row_stride + x;
+      int const to = y * row_stride + x * step;
+      if constexpr (N == 3)
+        if (step == 3) {
+          uint32_t turned[4], pixels[4];
+#pragma unroll
+          for (int i = 0; i < 4; ++i)
+            turned[i] = __byte_perm(__byte_perm(means[i][0], means[i][1], 0x7762), means[i][2], 0x3610);
+#pragma unroll
+          for (int i = 0; i < 4; ++i) {
+            uint32_t const even = turn & 2 ? turned[(i + 2) % 4] : turned[i];
+            uint32_t const odd = turn & 2 ? turned[(i + 1) % 4] : turned[(i + 3) % 4];
+            pixels[i] = turn & 1 ? odd : even;
+          }
+          uint32_t const twelve[] = {pixels[0] | pixels[1] << 24, pixels[1] >> 8 | pixels[2] << 16,
+                                     pixels[2] >> 16 | pixels[3] << 8};
+          if (whole) {
+            store_words(planes[0] + to, twelve);
+          } else {
+#pragma unroll
+            for (int i = 0; i < 12; ++i)
+              if (x + i / 3 < width) planes[0][to + i] = uint8_t(twelve[i / 4] >> 8 * (i % 4));
+          }
+          continue;
+        }
 #pragma unroll
       for (int k = 0; k < N; ++k) {
         uint32_t const word = __byte_perm(__byte_perm(means[0][k], means[1][k], 0x0062),
                                           __byte_perm(means[2][k], means[3][k], 0x0062), 0x5410);
-        uint32_t const four = __funnelshift_l(word, word, 8 * turn);
-        if (x + 4 <= width) {
-          *reinterpret_cast<uint32_t*>(planes[k] + to) = four;
+        uint32_t const four[] = {__funnelshift_l(word, word, 8 * turn)};
+        if (whole) {
+          store_words(planes[k] + to, four);
         } else {
 #pragma unroll
-          for (int i = 0; i < 3; ++i)
-            if (x + i < width) planes[k][to + i] = uint8_t(four >> 8 * i);
+          for (int i = 0; i < 4; ++i)
+            if (x + i < width) planes[k][to + i] = uint8_t(four[0] >> 8 * i);
         }
       }
     } else {
@@ -312,6 +402,15 @@ __device__ __forceinline__ void sample_part(Sample<uint8_t> const& p, Tile<float
   }
 }
 
+// The blocks of an output: anchors, or, where these are few, the parts of them.
+struct ByteGrid {
+  unsigned across, down, first_block = 0;  // of those of a launch
+  int side;
+
+  KV_HD ByteGrid(int64_t height, int64_t width, int side)
+      : across(unsigned(ceil_div(width, side))), down(unsigned(ceil_div(height, side))), side(side) {}
+};
+
 // What a block has: up to four parts of kTile x kTile, of one sample, in shared memory.
 struct ByteBlock {
   static constexpr int kMost = 4;
@@ -320,15 +419,15 @@ struct ByteBlock {
   BytePart parts[kMost];
   int count;
 
-  // By all threads. at(number, x, y) is where a part lies. If Whole, all are those of one anchor, and become one part
-  // if its source tile fits.
-  template <bool Whole, class At, class Matrix>
-  __device__ __forceinline__ void prepare(Sample<uint8_t> const& p, void* memory, int64_t b, int number_of_parts, At at,
-                                          Matrix matrix) {
+  // By all threads. The parts of an anchor become one if its source tile fits.
+  template <class Matrix>
+  __device__ __forceinline__ void prepare(Sample<uint8_t> const& p, void* memory, ByteGrid const& grid, Matrix matrix) {
     if (threadIdx.x < 32) {
       int const number = threadIdx.x / 4 % kMost, width = int(p.y.width), height = int(p.y.height);
-      BytePart part{0, 0, kTile};
-      at(number, part.x, part.y);
+      int const number_of_parts = grid.side == kAnchor ? kMost : 1;
+      unsigned const block = blockIdx.x - grid.first_block, row = block / grid.across, b = row / grid.down;
+      BytePart part{int(block - row * grid.across) * grid.side + number % 2 * kTile,
+                    int(row - b * grid.down) * grid.side + number / 2 * kTile, kTile};
       Tile<float> tile;
       tile.b = b;
       tile.image = p.image_of(b);
@@ -353,7 +452,7 @@ struct ByteBlock {
       if (before != 0 && before != 15) box = TapBounds::all();
       bool const exists = number < number_of_parts && part.x < width && part.y < height;
       int parts_left = number_of_parts;
-      if (Whole && number_of_parts == kMost) {
+      if (number_of_parts == kMost) {
         TapBounds whole = exists ? box : TapBounds::empty();
         whole.merge_lanes<4 * kMost>();
         if (ByteSource(memory, whole, tile, p).fits) {
@@ -403,11 +502,9 @@ struct ByteBlock {
   }
 };
 
-// Whether the rows of results begin at whole words.
-template <class T>
-KV_HD bool rows_are_words(Images<T> const& y) {
-  return y.step == 1 &&
-         ((int64_t(reinterpret_cast<uintptr_t>(y.data)) | y.row_stride | y.channel_stride | y.batch_stride) & 3) == 0;
+// Whether the bytes of a row of results are adjacent, those that a block has at a time.
+KV_HD bool rows_are_dense(Images<uint8_t> const& y) {
+  return y.step == 1 || (y.step == 3 && y.channels == 3 && y.channel_stride == 1);
 }
 
 }  // namespace

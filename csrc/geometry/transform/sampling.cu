@@ -39,6 +39,13 @@ int sample_bytes(Sample<uint8_t> const& p, CUstream_st* stream) {
   return cudaGetLastError();
 }
 
+template <bool Wide>
+__global__ void __launch_bounds__(kThreads, kByteMapBlocks)
+    sample_byte_map_tiles(__grid_constant__ Sample<uint8_t> const p, TileGrid tiles) {
+  extern __shared__ __align__(16) unsigned char shared_pixels[];
+  sample_byte_tiles_of_maps<Wide>(p, shared_pixels, tiles);
+}
+
 }  // namespace
 
 template <class T>
@@ -49,14 +56,21 @@ int sample(Sample<T> const& p, CUstream_st* stream) {
   // Special case, H200: 1.12 to 1.14 times as fast as a tile of each image.
   bool const one_map = p.coords.has_map() && p.coords.x.batch_stride == 0 && p.coords.y.batch_stride == 0;
   TileGrid const tiles(p.y.batch, p.y.height, p.y.width, per_block, one_map && p.y.batch >= per_block);
+  if constexpr (sizeof(T) == 1)
+    if (p.interpolation == Interpolation::bilinear) {
+      auto const run = [&](auto kernel) { kernel<<<tiles.blocks, kThreads, ByteSource::kBytes, stream>>>(p, tiles); };
+      rows_are_dense(p.y) ? run(sample_byte_map_tiles<true>) : run(sample_byte_map_tiles<false>);
+      return cudaGetLastError();
+    }
   with_alignment_of(p.x, [&](auto aligned) {
     auto const run = [&](auto kernel) {
       kernel<<<tiles.blocks, kThreads, SourceTile<T, aligned.value>::bytes(p.x.channels, p.coords), stream>>>(p, tiles);
     };
     dispatch_taps(p.interpolation, [&](auto taps) {
       constexpr int K = taps.value;
-      p.formula.id == WarpFormula::none ? run(sample_tiles<T, K, false, aligned.value>)
-                                        : run(sample_tiles<T, K, true, aligned.value>);
+      if constexpr (sizeof(T) > 1 || K != 2)
+        p.formula.id == WarpFormula::none ? run(sample_tiles<T, K, false, aligned.value>)
+                                          : run(sample_tiles<T, K, true, aligned.value>);
     });
   });
   return cudaGetLastError();

@@ -63,7 +63,9 @@ def test_which_calls_compute_in_fixed_point(device):
         for images, mode in ((x.half(), "bilinear"), (x.float(), "bilinear"), (x, "nearest"), (x, "bicubic")):
             assert "sample_byte" not in kernels_of(G.warp_affine, images, M[:, :2], (40, 41), mode)
         u = torch.zeros(2, 8, 9, device=device)
-        assert "sample_byte" not in kernels_of(G.remap, x, u, u)
+        assert "sample_byte_map_tiles" in kernels_of(G.remap, x, u, u)
+        assert "sample_byte_map_tiles" in kernels_of(G.remap, x, u[:1], u[:1])
+        assert "sample_byte" not in kernels_of(G.remap, x, u, u, "bicubic")
 
 
 @pytest.mark.parametrize("padding", ["zeros", "border", "reflection"])
@@ -127,6 +129,60 @@ def test_long_lists_have_the_results_of_batches(device):
     expected = G.warp_perspective(x, M, (7, 66))
     y = G.warp_perspective([*x] * 256, M.repeat(256, 1, 1), (7, 66))
     assert torch.equal(y, expected.repeat(256, 1, 1, 1))
+
+
+def maps(part: str, size: tuple[int, int], shift: float) -> tuple[Tensor, Tensor]:
+    """Of two samples, bent, so that coordinates are of no matrix."""
+    y, x = torch.meshgrid(torch.arange(size[0]).float(), torch.arange(size[1]).float(), indexing="ij")
+    a, b, c, d = PARTS[part]
+    u, v = a * x + b * y + shift + torch.sin(y / 7), c * x + d * y + torch.cos(x / 5)
+    return torch.stack([u, u - 2.7]), torch.stack([v, v + 1.1])
+
+
+def map_errors(x: Tensor, u: Tensor, v: Tensor, device: torch.device, **options: str) -> Tensor:
+    exact = G.remap(x.double(), u.double(), v.double(), **options)
+    return (G.remap(x.to(device), u.to(device), v.to(device), **options).cpu().double() - exact).abs()
+
+
+@pytest.mark.parametrize("padding", ["zeros", "border", "reflection"])
+@pytest.mark.parametrize("part", PARTS)
+def test_results_by_maps_are_within_rounding_of_exact_ones(part, padding, device):
+    for (height, width), size in SIZES:
+        for channels in (1, 3, 5):
+            x = noise((2, channels, height, width))
+            u, v = maps(part, size, 1.3)
+            assert map_errors(x, u, v, device, padding_mode=padding).max() <= CLOSE, (height, width, channels)
+
+
+def test_results_by_maps_depend_on_no_memory_and_no_neighbors(device):
+    for (height, width), size in SIZES:
+        count = 6 * height * width
+        memory = noise((count + 3,)).to(device)
+        u, v = (m.to(device) for m in maps("turned", size, 1.3))
+        for first in range(4):
+            x = memory[first : first + count].view(2, 3, height, width)
+            y = G.remap(x, u, v)
+            assert map_errors(x.cpu(), u.cpu(), v.cpu(), device).max() <= CLOSE, (height, width, first)
+            if device.type == "cuda":
+                assert torch.equal(G.remap(x.contiguous(memory_format=torch.channels_last), u, v), y)
+                assert torch.equal(G.remap(x[1:], u[1:], v[1:]), y[1:])
+                assert torch.equal(G.remap(x, u[:1], v[:1])[:1], y[:1])
+                assert torch.equal(G.remap(x.repeat(40, 1, 1, 1), u.repeat(40, 1, 1), v.repeat(40, 1, 1))[-2:], y)
+                assert torch.equal(G.remap(x, u.mT.contiguous().mT, v), y)
+                assert torch.equal(G.remap(x, u[..., 1:], v[..., 1:]), y[..., 1:])
+
+
+def test_maps_of_midway_and_of_no_coordinates(device):
+    x = noise((2, 3, 37, 53))
+    y, x_at = torch.meshgrid(torch.arange(37.0), torch.arange(53.0), indexing="ij")
+    u, v = (x_at + 0.5).repeat(2, 1, 1), (y - 0.5).repeat(2, 1, 1)
+    assert map_errors(x, u, v, device).max() <= 0.5
+    if device.type == "cuda":
+        even = G.remap(x.double(), u.double(), v.double()).round().to(torch.uint8)
+        assert torch.equal(G.remap(x.to(device), u.to(device), v.to(device)).cpu(), even)
+    u[:, ::5, ::3], v[:, ::7, ::2] = float("nan"), -1e9
+    for padding in ("zeros", "border"):
+        assert map_errors(x, u, v, device, padding_mode=padding).max() <= 0.5
 
 
 def test_means_midway_between_levels_are_rounded_to_the_even_one(device):

@@ -46,9 +46,10 @@ int sample_list(SampleList<T> const& p, CUstream_st* stream) {
   int const channels = p.all.x.channels;
   with_alignment<T>(images_are_aligned<T>(p.list, channels), [&](auto aligned) {
     dispatch_taps(p.all.interpolation, [&](auto taps) {
-      sample_list_tiles<T, taps.value, aligned.value>
-          <<<unsigned(p.list.items), kThreads, SourceTile<T, aligned.value>::bytes(channels), stream>>>(
-              p, p.tiles_per_block);
+      if constexpr (sizeof(T) > 1 || taps.value != 2)
+        sample_list_tiles<T, taps.value, aligned.value>
+            <<<unsigned(p.list.items), kThreads, SourceTile<T, aligned.value>::bytes(channels), stream>>>(
+                p, p.tiles_per_block);
     });
   });
   return cudaGetLastError();

@@ -1,4 +1,4 @@
-// What a block of threads samples of bytes by a matrix on CUDA, bilinearly and in fixed point. The source tile has a
+// What a block of threads samples of bytes on CUDA, bilinearly and in fixed point. The source tile has a
 // word for each pixel, whose bytes are up to four of its channels: a tap is one load, and two instructions add the four
 // taps of a channel. The result of a pixel depends on neither tiles nor the alignment of rows.
 // Special case: bytes. H200: 1.3 (335x513) to 1.6 (336x512) times as fast as the tiles of any type, 2.8 to 3.9 in
@@ -12,7 +12,7 @@
 namespace kv::geometry::cuda {
 namespace {
 
-constexpr int kByteBlocks = 4;  // on a multiprocessor at once
+constexpr int kByteBlocks = 4, kByteMapBlocks = 4;  // on a multiprocessor at once
 
 // --- fixed point -----------------------------------------------------------------------------------------------------
 
@@ -30,6 +30,10 @@ __device__ __forceinline__ bool is_dyadic(Homography<float> const& map) {
 #pragma unroll
   for (int i = 0; i < 6; ++i) dyadic = dyadic && vfloor(map.m[i] * 16) == map.m[i] * 16;
   return dyadic;
+}
+
+__device__ __forceinline__ bool is_dyadic(float u, float v) {
+  return vfloor(u * 16) == u * 16 && vfloor(v * 16) == v * 16;
 }
 
 // The weights of four taps: 16 bits for each of the two pixels of a row. They are not negative and add up to 2^16 - 1.
@@ -57,13 +61,15 @@ struct ByteWeights {
 template <int N>
 __device__ __noinline__ void sample_bytes_unstaged(Sample<uint8_t> const& p, Tile<float> const& tile, int first, int y,
                                                    int x) {
+  bool const mapped = p.coords.has_map();
   float u, v;
-  tile.map.apply(float(x - tile.x), float(y - tile.y), u, v);
+  TileCoords<float>(p.coords, tile).near(y, x, u, v);
+  if (mapped) u = clamped(p.x_axis, u), v = clamped(p.y_axis, v);
   int const to_u = __float2int_rn(u * (1 << kCoordBits)), to_v = __float2int_rn(v * (1 << kCoordBits));
   int const column = (to_u >> kCoordBits) + tile.u, row = (to_v >> kCoordBits) + tile.v;
-  bool const is_near = vabs(u) < 32768 && vabs(v) < 32768;
+  bool const is_near = vabs(u) < 32768 && vabs(v) < 32768, dyadic = mapped ? is_dyadic(u, v) : is_dyadic(tile.map);
   bool const inside = column >= 0 && row >= 0 && column < p.x_axis.size - 1 && row < p.y_axis.size - 1;
-  if (!is_near || is_dyadic(tile.map) || (!inside && (p.fill || p.x_axis.padding == Padding::reflection))) {
+  if (!is_near || dyadic || (!inside && (p.fill || p.x_axis.padding == Padding::reflection))) {
     sample_unstaged<2, N>(p, tile, first, y, x);
     return;
   }
@@ -94,18 +100,21 @@ struct ByteSource {
   int left, top, columns, rows;  // of the image
   bool fits;
 
-  // For the box of the taps, relative to the tile's (u, v).
-  __device__ __forceinline__ ByteSource(void* memory, TapBounds const& box, Tile<float> const& tile,
-                                        Sample<uint8_t> const& p)
+  // For the box of the taps, relative to (u, v).
+  __device__ __forceinline__ ByteSource(void* memory, TapBounds const& box, int u, int v, Sample<uint8_t> const& p)
       : words(static_cast<uint32_t*>(memory)),
-        left((box.left + tile.u) & -kGroup),
-        top(box.top + tile.v),
-        columns(box.right + tile.u - left + 1),
+        left((box.left + u) & -kGroup),
+        top(box.top + v),
+        columns(box.right + u - left + 1),
         rows(box.bottom - box.top + 1) {
-    bool const inside =
-        left >= 0 && top >= 0 && box.right + tile.u < p.x_axis.size && box.bottom + tile.v < p.y_axis.size;
+    bool const inside = left >= 0 && top >= 0 && box.right + u < p.x_axis.size && box.bottom + v < p.y_axis.size;
     fits = box.left >= -kByteReach && box.top >= -kByteReach && box.right <= kByteReach && box.bottom <= kByteReach &&
            columns <= kPitch && rows <= kRows && (inside || (p.x_axis.padding != Padding::reflection && !p.fill));
+  }
+
+  // Of the taps of coordinate 0, counted from (u, v), in `words`.
+  __device__ __forceinline__ int origin(int u, int v) const {
+    return (v - top - int(kFirstCell)) * kPitch + (u - left - int(kFirstCell));
   }
 
   // W words at any address are shifted out of whole words of memory, one more unless Aligned. That one is read only if
@@ -155,8 +164,8 @@ struct ByteSource {
     }
   }
 
-  // N channels from `first` on.
-  template <int N>
+  // N channels from `first` on. A thread has that many loads before the first of them is waited for.
+  template <int N, int Loads = 4>
   __device__ __forceinline__ void stage(Images<uint8_t const> const& x, int64_t image, int first,
                                         Axis<float> const& x_axis, Axis<float> const& y_axis) const {
     __syncthreads();  // before the current contents are overwritten
@@ -169,12 +178,12 @@ struct ByteSource {
     }
     bool const aligned = bits % kGroup == 0;
     if (x.step == 1 && x_axis.size >= kGroup) {
-      aligned ? stage_groups<N, true, false>(planes, int(x.row_stride), x_axis, y_axis)
-              : stage_groups<N, false, false>(planes, int(x.row_stride), x_axis, y_axis);
+      aligned ? stage_groups<N, Loads, true, false>(planes, int(x.row_stride), x_axis, y_axis)
+              : stage_groups<N, Loads / 2, false, false>(planes, int(x.row_stride), x_axis, y_axis);
     } else if (N == 3 && x.step == 3 && x.channel_stride == 1 && x_axis.size >= kGroup) {
       if constexpr (N == 3)
-        aligned ? stage_groups<N, true, true>(planes, int(x.row_stride), x_axis, y_axis)
-                : stage_groups<N, false, true>(planes, int(x.row_stride), x_axis, y_axis);
+        aligned ? stage_groups<N, Loads, true, true>(planes, int(x.row_stride), x_axis, y_axis)
+                : stage_groups<N, Loads / 2, false, true>(planes, int(x.row_stride), x_axis, y_axis);
     } else {
       stage_pixels<N>(planes, int(x.row_stride), int(x.step), x_axis, y_axis);
     }
@@ -183,10 +192,9 @@ struct ByteSource {
 
   // A thread takes groups of a column, as many threads side by side as the tile has columns of groups. A group that is
   // not all inside of the image is the outermost one that is, moved.
-  template <int N, bool Aligned, bool Interleaved>
+  template <int N, int Loads, bool Aligned, bool Interleaved>
   __device__ __forceinline__ void stage_groups(uint8_t const* const (&planes)[N], int row_stride,
                                                Axis<float> const& x_axis, Axis<float> const& y_axis) const {
-    constexpr int kLoads = Aligned ? 4 : 2;  // before the first of them is waited for
     constexpr int kSources = Interleaved ? 1 : N, kWords = 2 * N / kSources;
     int const across = (columns + kGroup - 1) / kGroup;
     int const first_row = int((float(threadIdx.x) + 0.5f) * __frcp_rn(float(across)));
@@ -198,18 +206,18 @@ struct ByteSource {
     int const offset = start * (Interleaved ? N : 1);
     uint32_t* to = words + (first_row * kPitch + column);
 #pragma unroll 1
-    for (int row = first_row; row < rows; row += kLoads * rows_at_once) {
-      uint32_t loaded[kLoads][kSources][kWords + !Aligned];
-      int at[kLoads];
+    for (int row = first_row; row < rows; row += Loads * rows_at_once) {
+      uint32_t loaded[Loads][kSources][kWords + !Aligned];
+      int at[Loads];
 #pragma unroll
-      for (int i = 0; i < kLoads; ++i) {
+      for (int i = 0; i < Loads; ++i) {
         int const y = clamp(top + min(row + i * rows_at_once, rows - 1), 0, y_axis.size - 1);
         at[i] = y * row_stride + offset;
 #pragma unroll
         for (int k = 0; k < kSources; ++k) load<kWords, Aligned>(planes[k] + at[i], loaded[i][k]);
       }
 #pragma unroll
-      for (int i = 0; i < kLoads; ++i) {
+      for (int i = 0; i < Loads; ++i) {
         int const own = row + i * rows_at_once;
         if (own >= rows) break;
         uint32_t bytes[2 * N], pixels[kGroup];
@@ -299,62 +307,36 @@ struct BytePart {
   int x, y, side;  // of the output
 };
 
-enum class ByteMap { affine, dyadic, homography };
-
-template <bool Wide, int N, ByteMap Map>
-__device__ __forceinline__ void sample_part(Sample<uint8_t> const& p, Tile<float> const& tile, BytePart const& part,
-                                            ByteSource const& source, int first) {
-  constexpr int kPitch = ByteSource::kPitch;
-  int const width = int(p.y.width), height = int(p.y.height), lane = threadIdx.x % 32, warp = threadIdx.x / 32;
-  int const twice = part.side == kAnchor ? 1 : 0;  // warps side by side
-  int const x = part.x + 32 * (warp & twice) + (Wide ? lane % 8 * 4 : lane);
-  int const first_row = (warp >> twice) * 4 + (Wide ? lane / 8 : 0), row_step = kTile >> twice;
-  // Those of the second row of a warp begin with the second of the four, and so on: taps are in different banks.
-  int const turn = Wide ? lane / 8 : 0;
-  float m[9], columns[4];
-#pragma unroll
-  for (int i = 0; i < 9; ++i) m[i] = tile.map.m[i];
-#pragma unroll
-  for (int i = 0; i < 4; ++i) columns[i] = float(min(x + (Wide ? (i + turn) & 3 : 0), width - 1) - tile.x);
-  if (x >= width) return;
-  bool const whole = part.x + 32 * (warp & twice) + 32 <= width;  // the row of a warp
+// Where a thread's four pixels of N channels go, in the rows of a part.
+template <bool Wide, int N>
+struct BytePixels {
   uint8_t* planes[N];
+  int row_stride, step, x, width, height, turn;
+  bool whole;  // the row of a warp
+
+  // `left` is the first column of the warp.
+  __device__ __forceinline__ BytePixels(Sample<uint8_t> const& p, int64_t b, int first, int left)
+      : row_stride(int(p.y.row_stride)), step(int(p.y.step)), width(int(p.y.width)), height(int(p.y.height)) {
+    int const lane = threadIdx.x % 32;
+    x = left + (Wide ? lane % 8 * 4 : lane);
+    // Those of the second row of a warp begin with the second of the four, and so on: taps are in different banks.
+    turn = Wide ? lane / 8 : 0;
+    whole = left + 32 <= width;
 #pragma unroll
-  for (int k = 0; k < N; ++k) planes[k] = p.y.row(tile.b, first + k, 0);
-  int const row_stride = int(p.y.row_stride), step = int(p.y.step);
-  int const origin = (tile.v - source.top - int(kFirstCell)) * kPitch + (tile.u - source.left - int(kFirstCell));
-#pragma unroll 1
-  for (int row = first_row; row < part.side; row += row_step) {
-    int const y = part.y + row;
-    if (y >= height) break;
-    uint32_t means[4][N];
+    for (int k = 0; k < N; ++k) planes[k] = p.y.row(b, first + k, 0);
+  }
+  __device__ __forceinline__ int column(int i) const { return min(x + (Wide ? (i + turn) & 3 : 0), width - 1); }
+  __device__ __forceinline__ int row(int y, int i) const { return Wide ? y : min(y + i, height - 1); }
+
+  // From the third byte of each mean.
+  __device__ __forceinline__ void store(int y, uint32_t const (&means)[4][N]) const {
+    if constexpr (!Wide) {
 #pragma unroll
-    for (int i = 0; i < 4; ++i) {
-      float const from_top = float((Wide ? y : min(y + i, height - 1)) - tile.y), from_left = columns[i];
-      float u = fmaf(from_left, m[0], fmaf(from_top, m[1], m[2])),
-            v = fmaf(from_left, m[3], fmaf(from_top, m[4], m[5]));
-      if constexpr (Map == ByteMap::homography) {
-        float const scale = reciprocal(fmaf(from_left, m[6], fmaf(from_top, m[7], m[8])));
-        u *= scale;
-        v *= scale;
-      }
-      uint32_t const fixed_u = near_fixed(u), fixed_v = near_fixed(v);
-      uint32_t const* const taps =
-          source.words + (int(fixed_v >> kCoordBits) * kPitch + int(fixed_u >> kCoordBits) + origin);
-      uint32_t const a = taps[0], b = taps[1], c = taps[kPitch], d = taps[kPitch + 1];
-      if constexpr (Map == ByteMap::dyadic) {
-        float const tx = u - vfloor(u), ty = v - vfloor(v);
+      for (int i = 0; i < 4; ++i)
+        if (y + i < height)
 #pragma unroll
-        for (int k = 0; k < N; ++k) {
-          float const four[] = {byte_of<float>(a, k), byte_of<float>(b, k), byte_of<float>(c, k), byte_of<float>(d, k)};
-          float const above = four[0] + tx * (four[1] - four[0]), below = four[2] + tx * (four[3] - four[2]);
-          means[i][k] = uint32_t(round_to_byte(above + ty * (below - above))) << 16;
-        }
-      } else {
-        ByteWeights(fixed_u, fixed_v).means<N>(a, b, c, d, means[i]);
-      }
-    }
-    if constexpr (Wide) {
+          for (int k = 0; k < N; ++k) planes[k][(y + i) * row_stride + x * step] = uint8_t(means[i][k] >> 16);
+    } else {
       int const to = y * row_stride + x * step;
       if constexpr (N == 3)
         if (step == 3) {
@@ -370,35 +352,87 @@ __device__ __forceinline__ void sample_part(Sample<uint8_t> const& p, Tile<float
           }
           uint32_t const twelve[] = {pixels[0] | pixels[1] << 24, pixels[1] >> 8 | pixels[2] << 16,
                                      pixels[2] >> 16 | pixels[3] << 8};
-          if (whole) {
-            store_words(planes[0] + to, twelve);
-          } else {
-#pragma unroll
-            for (int i = 0; i < 12; ++i)
-              if (x + i / 3 < width) planes[0][to + i] = uint8_t(twelve[i / 4] >> 8 * (i % 4));
-          }
-          continue;
+          store_pixels(planes[0] + to, twelve);
+          return;
         }
 #pragma unroll
       for (int k = 0; k < N; ++k) {
         uint32_t const word = __byte_perm(__byte_perm(means[0][k], means[1][k], 0x0062),
                                           __byte_perm(means[2][k], means[3][k], 0x0062), 0x5410);
         uint32_t const four[] = {__funnelshift_l(word, word, 8 * turn)};
-        if (whole) {
-          store_words(planes[k] + to, four);
-        } else {
-#pragma unroll
-          for (int i = 0; i < 4; ++i)
-            if (x + i < width) planes[k][to + i] = uint8_t(four[0] >> 8 * i);
-        }
+        store_pixels(planes[k] + to, four);
       }
-    } else {
-#pragma unroll
-      for (int i = 0; i < 4; ++i)
-        if (y + i < height)
-#pragma unroll
-          for (int k = 0; k < N; ++k) planes[k][(y + i) * row_stride + x * step] = uint8_t(means[i][k] >> 16);
     }
+  }
+  // W bytes each.
+  template <int W>
+  __device__ __forceinline__ void store_pixels(uint8_t* to, uint32_t const (&words)[W]) const {
+    if (whole) {
+      store_words(to, words);
+      return;
+    }
+#pragma unroll
+    for (int i = 0; i < 4 * W; ++i)
+      if (x + i / W < width) to[i] = uint8_t(words[i / 4] >> 8 * (i % 4));
+  }
+};
+
+// The means of N channels at a coordinate, in the third byte. `origin` has the taps of coordinate 0.
+template <int N, bool Dyadic>
+__device__ __forceinline__ void byte_means(uint32_t const* words, int origin, uint32_t u, uint32_t v,
+                                           uint32_t (&means)[N]) {
+  constexpr int kPitch = ByteSource::kPitch;
+  uint32_t const* const taps = words + (int(v >> kCoordBits) * kPitch + int(u >> kCoordBits) + origin);
+  uint32_t const a = taps[0], b = taps[1], c = taps[kPitch], d = taps[kPitch + 1];
+  if constexpr (Dyadic) {
+    constexpr float kUnit = 1.f / (1 << kCoordBits);
+    constexpr uint32_t kFraction = (1 << kCoordBits) - 1;
+    float const tx = float(int(u & kFraction)) * kUnit, ty = float(int(v & kFraction)) * kUnit;
+#pragma unroll
+    for (int k = 0; k < N; ++k) {
+      float const four[] = {byte_of<float>(a, k), byte_of<float>(b, k), byte_of<float>(c, k), byte_of<float>(d, k)};
+      float const above = four[0] + tx * (four[1] - four[0]), below = four[2] + tx * (four[3] - four[2]);
+      means[k] = uint32_t(round_to_byte(above + ty * (below - above))) << 16;
+    }
+  } else {
+    ByteWeights(u, v).means<N>(a, b, c, d, means);
+  }
+}
+
+enum class ByteMap { affine, dyadic, homography };
+
+template <bool Wide, int N, ByteMap Map>
+__device__ __forceinline__ void sample_part(Sample<uint8_t> const& p, Tile<float> const& tile, BytePart const& part,
+                                            ByteSource const& source, int first) {
+  int const lane = threadIdx.x % 32, warp = threadIdx.x / 32;
+  int const twice = part.side == kAnchor ? 1 : 0;  // warps side by side
+  int const first_row = (warp >> twice) * 4 + (Wide ? lane / 8 : 0), row_step = kTile >> twice;
+  BytePixels<Wide, N> const pixels(p, tile.b, first, part.x + 32 * (warp & twice));
+  float m[9], columns[4];
+#pragma unroll
+  for (int i = 0; i < 9; ++i) m[i] = tile.map.m[i];
+#pragma unroll
+  for (int i = 0; i < 4; ++i) columns[i] = float(pixels.column(i) - tile.x);
+  if (pixels.x >= pixels.width) return;
+  int const origin = source.origin(tile.u, tile.v);
+#pragma unroll 1
+  for (int row = first_row; row < part.side; row += row_step) {
+    int const y = part.y + row;
+    if (y >= pixels.height) break;
+    uint32_t means[4][N];
+#pragma unroll
+    for (int i = 0; i < 4; ++i) {
+      float const from_top = float(pixels.row(y, i) - tile.y), from_left = columns[i];
+      float u = fmaf(from_left, m[0], fmaf(from_top, m[1], m[2])),
+            v = fmaf(from_left, m[3], fmaf(from_top, m[4], m[5]));
+      if constexpr (Map == ByteMap::homography) {
+        float const scale = reciprocal(fmaf(from_left, m[6], fmaf(from_top, m[7], m[8])));
+        u *= scale;
+        v *= scale;
+      }
+      byte_means<N, Map == ByteMap::dyadic>(source.words, origin, near_fixed(u), near_fixed(v), means[i]);
+    }
+    pixels.store(y, means);
   }
 }
 
@@ -455,7 +489,7 @@ struct ByteBlock {
       if (number_of_parts == kMost) {
         TapBounds whole = exists ? box : TapBounds::empty();
         whole.merge_lanes<4 * kMost>();
-        if (ByteSource(memory, whole, tile, p).fits) {
+        if (ByteSource(memory, whole, tile.u, tile.v, p).fits) {
           parts_left = 1;
           box = whole;
           part.side = kAnchor;
@@ -478,7 +512,7 @@ struct ByteBlock {
       BytePart const& part = parts[number];
       Tile<float> const& tile = tiles[number];
       if (part.side == 0) continue;
-      ByteSource const source(memory, taps[number], tile, p);
+      ByteSource const source(memory, taps[number], tile.u, tile.v, p);
       for_each_channel_group<3>(p.x.channels, [&](int first, auto channels) {
         constexpr int N = channels.value;
         if (source.fits) {
@@ -501,6 +535,87 @@ struct ByteBlock {
     }
   }
 };
+
+// --- maps ------------------------------------------------------------------------------------------------------------
+
+// A tile by a map, of which each thread has four pixels. The tile and the box of its taps, which is empty, are in
+// shared memory.
+template <bool Wide>
+__device__ __forceinline__ void sample_byte_tile(Sample<uint8_t> const& p, void* memory, Tile<float> const& tile,
+                                                 TapBounds& box) {
+  BytePixels<Wide, 1> const own(p, tile.b, 0, tile.x);
+  int const y = tile.y + int(threadIdx.x) / 32 * 4 + (Wide ? int(threadIdx.x) % 32 / 8 : 0);
+  float u[4], v[4];
+#pragma unroll
+  for (int i = 0; i < 4; ++i) {
+    // Threads beyond the image have its last pixels.
+    MapColumn<float>(p.coords, tile.b, min(own.row(y, i), own.height - 1), own.column(i)).at(0, u[i], v[i]);
+    u[i] = clamped(p.x_axis, u[i]);
+    v[i] = clamped(p.y_axis, v[i]);
+  }
+  constexpr float kRounding = 0.5f / (1 << kCoordBits);
+  float t;
+  TapBounds bounds{near_tap<2>(fminf(fminf(u[0], u[1]), fminf(u[2], u[3])), t),
+                   near_tap<2>(fminf(fminf(v[0], v[1]), fminf(v[2], v[3])), t),
+                   near_tap<2>(fmaxf(fmaxf(u[0], u[1]), fmaxf(u[2], u[3])) + kRounding, t) + 1,
+                   near_tap<2>(fmaxf(fmaxf(v[0], v[1]), fmaxf(v[2], v[3])) + kRounding, t) + 1};
+  bounds.merge_lanes<32>();
+  if (threadIdx.x % 32 == 0) {
+    atomicMin(&box.left, bounds.left);
+    atomicMin(&box.top, bounds.top);
+    atomicMax(&box.right, bounds.right);
+    atomicMax(&box.bottom, bounds.bottom);
+  }
+  __syncthreads();
+  int const left = box.left, top = box.top;
+  ByteSource const source(memory, {0, 0, box.right - left, box.bottom - top}, left, top, p);
+  for_each_channel_group<3>(p.x.channels, [&](int first, auto channels) {
+    constexpr int N = channels.value;
+    if (source.fits) source.stage<N, 2>(p.x, tile.image, first, p.x_axis, p.y_axis);
+    if (own.x >= own.width || y >= own.height) return;
+    if (!source.fits) {
+#pragma unroll 1
+      for (int i = 0; i < 4; ++i) {
+        int const at_x = own.x + (Wide ? i : 0), at_y = y + (Wide ? 0 : i);
+        if (at_x < own.width && at_y < own.height) sample_bytes_unstaged<N>(p, tile, first, at_y, at_x);
+      }
+      return;
+    }
+    float const from_left = 384.f - float(left), from_top = 384.f - float(top);
+    int const origin = source.origin(left, top);
+    uint32_t means[4][N];
+#pragma unroll
+    for (int i = 0; i < 4; ++i) {
+      uint32_t const fixed_u = __float_as_uint(u[i] + from_left), fixed_v = __float_as_uint(v[i] + from_top);
+      bool const may_be_dyadic = ((fixed_u | fixed_v) & ((1 << (kCoordBits - 4)) - 1)) == 0;
+      if (may_be_dyadic && is_dyadic(u[i], v[i]))
+        byte_means<N, true>(source.words, origin, fixed_u, fixed_v, means[i]);
+      else
+        byte_means<N, false>(source.words, origin, fixed_u, fixed_v, means[i]);
+    }
+    BytePixels<Wide, N>(p, tile.b, first, tile.x).store(y, means);
+  });
+}
+
+// The block's tiles.
+template <bool Wide>
+__device__ __forceinline__ void sample_byte_tiles_of_maps(Sample<uint8_t> const& p, void* memory,
+                                                          TileGrid const& tiles) {
+  __shared__ Tile<float> tile;
+  __shared__ TapBounds box;
+#pragma unroll 1
+  for (int number = 0; number < int(tiles.per_block); ++number) {
+    __syncthreads();  // before the tile is overwritten
+    if (threadIdx.x == 0) {
+      tile.locate(tiles, number);
+      tile.image = p.image_of(min(tile.b, p.y.batch - 1));
+      box = TapBounds::empty();
+    }
+    __syncthreads();
+    if (tile.x >= p.y.width || tile.b >= p.y.batch) break;
+    sample_byte_tile<Wide>(p, memory, tile, box);
+  }
+}
 
 // Whether the bytes of a row of results are adjacent, those that a block has at a time.
 KV_HD bool rows_are_dense(Images<uint8_t> const& y) {

@@ -164,7 +164,7 @@ struct ByteSource {
     }
   }
 
-  // N channels from `first` on. A thread has that many loads before the first of them is waited for.
+  // N channels from `first` on. Of aligned rows a thread has that many loads before the first of them is waited for.
   template <int N, int Loads = 4>
   __device__ __forceinline__ void stage(Images<uint8_t const> const& x, int64_t image, int first,
                                         Axis<float> const& x_axis, Axis<float> const& y_axis) const {
@@ -179,11 +179,11 @@ struct ByteSource {
     bool const aligned = bits % kGroup == 0;
     if (x.step == 1 && x_axis.size >= kGroup) {
       aligned ? stage_groups<N, Loads, true, false>(planes, int(x.row_stride), x_axis, y_axis)
-              : stage_groups<N, Loads / 2, false, false>(planes, int(x.row_stride), x_axis, y_axis);
+              : stage_groups<N, 2, false, false>(planes, int(x.row_stride), x_axis, y_axis);
     } else if (N == 3 && x.step == 3 && x.channel_stride == 1 && x_axis.size >= kGroup) {
       if constexpr (N == 3)
         aligned ? stage_groups<N, Loads, true, true>(planes, int(x.row_stride), x_axis, y_axis)
-                : stage_groups<N, Loads / 2, false, true>(planes, int(x.row_stride), x_axis, y_axis);
+                : stage_groups<N, 2, false, true>(planes, int(x.row_stride), x_axis, y_axis);
     } else {
       stage_pixels<N>(planes, int(x.row_stride), int(x.step), x_axis, y_axis);
     }

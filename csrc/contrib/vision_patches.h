@@ -4,7 +4,7 @@
 // Filters, bands and weights are those of geometry/transform/resize/resize.h, antialiased. Bytes are resized along rows
 // first, and rounded and saturated after either axis, as Pillow and torchvision do: where negative weights meet hard
 // edges, that is visible. On the CPU their weights are integers of 16 bits, as precise as the largest one allows, and
-// their sums exact: the bytes are those of torchvision. CUDA has such integers with 14 bits behind the point, or 15.
+// their sums exact: the bytes are those of torchvision. CUDA has 16-bit floats.
 //
 //   repeats > 0   patches (C, repeats, P, P), blocks of merge x merge of them adjacent, images one after the other
 //   repeats == 0  patches (P, P, C), row by row, each image followed by zeros up to `padded` patches

@@ -74,7 +74,7 @@ def test_lists_are_their_images(layout, dtype, device):
 @pytest.mark.parametrize("dtype", [torch.uint8, torch.float32], ids=str)
 @pytest.mark.parametrize("channels", [1, 3, 4])
 def test_kernel_is_its_definition(channels, dtype, size, device, monkeypatch):
-    """In a level of bytes, whose weights have 16 bits; few pixels differ at all."""
+    """In a level of bytes, whose weights have 16 bits, or 11 on CUDA; few pixels differ at all."""
     x = random_image(channels, *size, dtype=dtype, device=device)
     calls = [
         {"temporal_patch_size": 1, "patch_size": 4, "merge_size": 3},
@@ -95,7 +95,7 @@ def test_kernel_is_its_definition(channels, dtype, size, device, monkeypatch):
             apart = (actual.patches - expected.patches).abs() * 255
             # Integer weights round halves up, floats to even: sizes of small ratios have many.
             assert apart.max() < 2.01 and (apart > 0.01).float().mean() < 0.12
-            assert (apart > 1.01).float().mean() < 1e-3
+            assert (apart > 1.01).float().mean() < 2e-3
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)

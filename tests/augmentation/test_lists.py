@@ -253,6 +253,7 @@ LABELED = {
     "late crop": lambda: (A.RandomHorizontalFlip(), A.RandomAffine(20.0), A.RandomResizedCrop((12, 14))),
     "map and chance": lambda: (A.RandomElasticTransform((3, 3), (1.0, 1.0), p=1.0), A.RandomCrop((10, 12), p=0.5)),
     "labels decide": lambda: (A.RandomIoUCrop(), A.CropNonEmptyMaskIfExists(9, 10)),
+    "masks of some": lambda: (A.CropNonEmptyMaskIfExists(9, 10, p=0.5), A.RandomHorizontalFlip()),
 }
 
 

@@ -93,17 +93,20 @@ class CallLabels(NamedTuple):
     def masks_of_samples(self, frames: int = 1) -> list[Any] | None:
         """Those of all inputs (B, C, H, W), of a list of images a list of (N, H, W); None if the call has no masks."""
         if self.is_list and not self._chain():
-            return [value for key, value in zip(self.keys, self.values) if key == DataKey.MASK] or None
+            own = [self._selected(value) for key, value in zip(self.keys, self.values) if key == DataKey.MASK]
+            return own or None
         masks = self.masks()
         if not masks:
             return None
         batches = [self._selected(labels.masks_as_batch(value)) for value in masks]
         return [x.unflatten(0, (-1, frames)).flatten(1, 2) for x in batches] if frames > 1 else batches
 
-    def _selected(self, x: Tensor) -> Tensor:
-        """Of labels (B, ...) of the call those of the samples that this is about."""
+    def _selected(self, x: Any) -> Any:
+        """Of labels (B, ...) of the call, or a list of those of each image, those of the samples that this is about."""
         x = x if self.outer is None else self.outer._selected(x)
-        return x if self.rows is None else x[index_of(self.rows, x)]
+        if self.rows is None:
+            return x
+        return x[index_of(self.rows, x)] if isinstance(x, Tensor) else [x[i] for i in self.rows]
 
     def _chain(self, inner: Sequence[Stage] = ()) -> list[Stage]:
         """All stages from the images of the call, and then inner ones."""

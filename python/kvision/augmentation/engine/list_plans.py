@@ -42,9 +42,7 @@ class ListPlan(NamedTuple):
     drawn_alone: SizedDraws | None  # the draws
     begins_with_batch: bool  # the first augmentation makes one
     reads_executions: bool  # what each augmentation has drawn is read in the call
-    identity: SizedNumbers | None = (
-        None  # the columns of images that get another augmentation, where these depend on sizes
-    )
+    identity: SizedNumbers | None = None  # columns of images with another child, where they depend on sizes
 
     def keys(self, images: Sequence[Tensor], context: CallContext) -> Keys | None:
         """What the columns of a call are drawn from."""

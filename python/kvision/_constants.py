@@ -31,8 +31,9 @@ def constant(values: tuple[Any, ...], like: Tensor, dtype: torch.dtype | None = 
 
 
 def on_device(numbers: Tensor, device: torch.device) -> Tensor:
-    """Numbers on the CPU, which nobody writes to, on a device, without waiting for it."""
-    if device.type == "cuda" and not torch.compiler.is_compiling() and torch.cuda.is_current_stream_capturing():
+    """Numbers, which nobody writes to, on a device, without waiting for it."""
+    copies = device.type == "cuda" and numbers.device.type == "cpu" and not torch.compiler.is_compiling()
+    if copies and torch.cuda.is_current_stream_capturing():
         numbers = numbers.pin_memory()  # as torch asks for
         _copied_in_graphs.append(numbers)  # each replay copies what is there by then
     return numbers.to(device, non_blocking=True)

@@ -443,3 +443,15 @@ def test_replays_of_a_graph_read_new_keys(device):
         keys.copy_(new)
         graph.replay()
         assert torch.equal(result, drawn(EXACT, 9, device, new))
+
+
+@pytest.mark.native
+def test_graphs_read_seeds_of_the_host(device):
+    if device.type != "cuda":
+        pytest.skip("CUDA graphs are CUDA's")
+    x, seeds, turn = torch.rand(3, 1, 8, 9, device=device), torch.arange(3), K.augmentation.RandomRotation(30.0, p=1.0)
+    expected, graph = turn(x, seed=seeds), torch.cuda.CUDAGraph()
+    with torch.cuda.graph(graph):
+        result = turn(x, seed=seeds)
+    graph.replay()
+    assert torch.equal(result, expected)

@@ -227,3 +227,15 @@ BOX = torch.zeros(1, 1, 4)
 def test_errors(draw, args, error, text):
     with pytest.raises(error, match=text):
         getattr(K.image, draw)(*args)
+
+
+def test_graphs_draw_lines_between_points_of_the_host(device):
+    if device.type != "cuda":
+        pytest.skip("CUDA graphs are CUDA's")
+    ends, color = (torch.tensor([1, 2]), torch.tensor([30, 9])), torch.tensor([0.5], device=device)
+    expected = K.image.draw_line(torch.zeros(1, 20, 40, device=device), *ends, color)
+    image, graph = torch.zeros_like(expected), torch.cuda.CUDAGraph()
+    with torch.cuda.graph(graph):
+        K.image.draw_line(image, *ends, color)
+    graph.replay()
+    assert torch.equal(image, expected)

@@ -12,6 +12,7 @@ from torch.compiler import is_compiling
 from torch.utils.data import get_worker_info
 
 from kvision import _check
+from kvision._constants import on_device
 from kvision._ops import flatten_batches, register_random
 from kvision._torch_compat import has_static_value, in_function_transform, is_mapped
 from kvision.core.exceptions import ShapeError, TypeCheckError
@@ -33,7 +34,7 @@ class Keys(NamedTuple):
 
     def seeds_on(self, device: torch.device) -> Tensor | None:
         """The seeds for an operator on this device, without waiting for it."""
-        return None if self.seeds is None else self.seeds.to(device, non_blocking=True)
+        return None if self.seeds is None else on_device(self.seeds, device)
 
     def cpu(self) -> Keys:
         """The same on the CPU; waits for those that are on another device."""

@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._constants import on_device
 from kvision._torch_compat import largest
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 
@@ -252,7 +253,7 @@ def _plot(image: Tensor, pixels: Tensor, color: Tensor) -> None:
         for x, y in pixels.tolist():
             image[:, y, x] = color
         return
-    x, y = pixels.to(image.device, non_blocking=True).unbind(1)
+    x, y = on_device(pixels, image.device).unbind(1)
     image[:, y, x] = color[:, None]
 
 

@@ -7,6 +7,7 @@ that is read for each size (sized.py). Those of draws replace their numbers, tho
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from itertools import chain
 from typing import Any, NamedTuple
 
 import torch
@@ -18,12 +19,14 @@ from kvision.augmentation.columns import DrawPlan
 from kvision.augmentation.drawn_pass import DrawnListPass, DrawnPass, SizedDraws
 from kvision.augmentation.draws import HEADER, MAX_DRAWS, MAX_NUMBERS, SIZED, Draw, Request, make_plan
 from kvision.augmentation.engine.call_context import CallContext
-from kvision.augmentation.engine.execution import Execution
+from kvision.augmentation.engine.execution import Execution, Params
+from kvision.augmentation.engine.parts import params_of_rows
 from kvision.augmentation.engine.passes import Alone, Joined, Step
 from kvision.augmentation.engine.record import Child
 from kvision.augmentation.engine.run_plans import RunPlan, plan_run
-from kvision.augmentation.engine.sized import SIZES, NumbersOfEach, Sized, SizedNumbers, find_sized, listed
+from kvision.augmentation.engine.sized import SIZES, NumbersOfEach, Size, Sized, SizedNumbers, find_sized, listed
 from kvision.augmentation.keys import Keys
+from kvision.augmentation.sample_rows import numbers_by, read_rows
 from kvision.geometry.transform.lists.arguments import like_batch
 from kvision.geometry.transform.lists.arguments import sizes as sides_of
 
@@ -228,16 +231,15 @@ class ReplayPlan(NamedTuple):
 
     sized: Sized
     numbers: SizedNumbers | NumbersOfEach | None  # inputs of matrices
-    has_sized_identity: bool = False  # columns of samples that are not chosen depend on the size
 
 
 def kept_replay(
     images: Sequence[Tensor], children: Sequence[Child], applied: Sequence[bool], context: CallContext
 ) -> ReplayPlan | None:
     """The plan of a run with the parameters of its children; None where others replay it."""
-    first, names = images[0], [tuple(child.params) for child in children]
+    first = images[0]
     own = (first.shape[0], first.dtype, context.once, context.output)
-    key = ("list replay", *own, *applied, *[id(child.module) for child in children], *names)
+    key = ("list replay", *own, *applied, *[id(child.module) for child in children])
     return context.plans.made(key, lambda: _make_replay(images, children, applied, context))
 
 
@@ -249,26 +251,50 @@ def _make_replay(
     has_pixels = any(m._param_generator is not None and m._param_generator.per_pixel for m in modules)
     if sized is None or has_pixels or context.output.memory_format is not None:
         return None
-    count = len(images)
-    if not _has_same_columns(sized, children, count, None):
+    each = [sized.reading.shapes(size) for size in SIZES]
+    if any(m._executes_columns(a) != m._executes_columns(b) for m, a, b in zip(modules, *each)):
         return None
-    none = torch.zeros(count, dtype=torch.bool, device="cpu")
-    return ReplayPlan(sized, sized.numbers(has_draws=False), not _has_same_columns(sized, children, count, none))
+    return ReplayPlan(sized, sized.numbers(has_draws=False))
 
 
-def _has_same_columns(sized: Sized, children: Sequence[Child], count: int, chosen: Tensor | None) -> bool:
-    """Whether the columns of given parameters of so many images do not depend on their size."""
-    each = [[(count, *shape[1:]) for shape in sized.reading.shapes(size)] for size in SIZES]
-    for child, *shapes in zip(children, *each):  # those behind have one size
-        own: Any = child.module
-        columns = [
-            own._columns_of(child.params, of_size, torch.device("cpu"), chosen).drawn
-            for of_size in shapes
-            if own._executes_columns(of_size)
-        ]
-        if len(columns) == 1 or (columns and not torch.equal(*columns)):
-            return False
-    return True
+def columns_of_sizes(
+    sized: Sized, children: Sequence[Child], executions: Sequence[Execution], columns: Tensor, sides: Sequence[int]
+) -> Tensor:
+    """The columns of given parameters, which are those of a size: of each image by its own where they depend on it.
+
+    Whether they do is asked in each call: those of numbers that are 0, say, may be the same for all sizes, and others not.
+    """
+
+    def columns_at(size: Size, rows: Sequence[int], given: Sequence[Params], device: torch.device) -> Tensor:
+        parts = []
+        for child, params, execution, shape in zip(children, given, executions, sized.reading.shapes(size)):
+            if execution.columns is not None:
+                chosen = None if execution.chosen is None else (params["batch_prob"] > 0.5).to(device)
+                module: Any = child.module
+                parts.append(module._columns_of(params, (len(rows), *shape[1:]), device, chosen).drawn)
+        return torch.cat(parts, 1) if parts else torch.empty(len(rows), 0, device=device)
+
+    given, count, host = [child.params for child in children], len(sides) // 2, torch.device("cpu")
+    on_host, least = [*map(_on_host, given)], (min(sides[::2]), min(sides[1::2]))
+    one, *others = (columns_at(size, range(count), on_host, host) for size in (*SIZES, least))
+    if all(torch.equal(one, other) for other in others):
+        return columns
+    groups, at = numbers_by(zip(sides[::2], sides[1::2])), columns.device
+    if all(a is b for a, b in zip(on_host, given)):
+        at = host
+    own = [
+        columns_at(size, rows, [params_of_rows(params, rows, count) for params in given], at)
+        for size, rows in groups.items()
+    ]
+    order = sorted(range(count), key=[*chain(*groups.values())].__getitem__)
+    own_columns = on_device(read_rows(torch.cat(own), order), columns.device)
+    return torch.cat([own_columns, columns[:, one.shape[1] :]], 1)  # those behind have one size
+
+
+def _on_host(params: Params) -> Params:
+    """Parameters that the host can read: in place of those on a device, for which it does not wait, any others."""
+    is_there = any(isinstance(x, Tensor) and x.is_cuda for x in params.values())
+    return {k: torch.rand(x.shape, device="cpu") for k, x in params.items()} if is_there else params
 
 
 def takes_given(step: Step, modules: Sequence[Any], dtype: torch.dtype) -> bool:

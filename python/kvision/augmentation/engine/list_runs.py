@@ -26,7 +26,14 @@ from kvision.augmentation.engine.call_context import CallContext
 from kvision.augmentation.engine.drawing import decides, may_apply
 from kvision.augmentation.engine.execution import Execution, ListExecution, Params
 from kvision.augmentation.engine.list_calls import refuse_list, seeds_of_list
-from kvision.augmentation.engine.list_plans import ListPlan, ReplayPlan, kept_plan, kept_replay, takes_given
+from kvision.augmentation.engine.list_plans import (
+    ListPlan,
+    ReplayPlan,
+    columns_of_sizes,
+    kept_plan,
+    kept_replay,
+    takes_given,
+)
 from kvision.augmentation.engine.list_records import ListParts, record_of_run
 from kvision.augmentation.engine.parts import Parts, params_of_rows
 from kvision.augmentation.engine.passes import Running, plan_steps
@@ -278,9 +285,6 @@ def _prepared(
     if given is None:
         return None
     replay = ListReplay(images, children, context, given)
-    executions = replay.running.executions
-    if given.has_sized_identity and any(execution.chosen is not None for execution in executions):
-        return None
     takes = all(takes_given(step, replay.running.modules, images[0].dtype) for step in replay.steps)
     return replay if takes else None
 
@@ -327,6 +331,11 @@ class ListReplay:
         shape = (len(images), images[0].shape[0], *SIZES[0])
         executions, columns = replayed(like.new_empty(1).expand(shape), children)
         of_list = ImagesOfList(plan.sized, sides_of(images))
+        if columns is not None:
+            columns = columns_of_sizes(plan.sized, children, executions, columns, of_list.sides)
+            for execution in executions:
+                if execution.columns is not None:
+                    execution.columns = execution.columns._replace(drawn=columns)
         if plan.numbers is not None:
             own = on_device(plan.numbers.of_sides(of_list.sides).to(compute_dtype(like)), like.device)
             width = 0 if columns is None else columns.shape[1]

@@ -211,6 +211,11 @@ class GeometricAugmentationBase2D(GeometricAugmentation, RigidAffineAugmentation
         """Whether masks are warped by the matrix to the size of the images, and nothing else is done to them."""
         return type(self).transform_masks is GeometricAugmentationBase2D.transform_masks
 
+    @property
+    def _warps_points(self) -> bool:
+        """Whether boxes and points move by the matrix."""
+        return type(self).transform_points is GeometricAugmentationBase2D.transform_points
+
     def transform_masks(self, masks: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
         if not execution.applied:
             return masks

@@ -232,21 +232,36 @@ class AugmentationSequential(ImageSequential):
     def _with_labels_of_list(self, keys: Sequence[DataKey], inputs: Sequence[Any], y: Any, parts: Any) -> list[Any]:
         if len(keys) == 1:
             return [y]
-        if {*keys} == {DataKey.INPUT, DataKey.MASK} and isinstance(parts, ListParts):
-            moved = [
-                y if key == DataKey.INPUT else parts.moved_masks(m, self._label_settings.masks)
-                for key, m in zip(keys, inputs)
-            ]
-            if all(own is not None for own in moved):
-                return moved
         settings, masks = self._label_settings, labels.count_masks(keys, inputs)
-        each = [
-            self._with_labels(keys, parts.inputs(rows, keys, inputs), call, settings, masks)
-            for call, rows in zip(parts.calls, parts.rows)
-        ]
-        outputs = parts.outputs(keys, inputs, each)
-        outputs[keys.index(DataKey.INPUT)] = y
+        outputs, first = list(inputs), keys.index(DataKey.INPUT)
+        moved = self._moved_together(keys, outputs, parts, settings) if isinstance(parts, ListParts) else []
+        if not all(i in moved or key == DataKey.INPUT for i, key in enumerate(keys)):
+            each = [
+                self._with_labels(keys, parts.inputs(rows, keys, outputs), call, settings, masks, moved)
+                for call, rows in zip(parts.calls, parts.rows)
+            ]
+            outputs = parts.outputs(keys, inputs, each)
+        outputs[first] = y
         return outputs
+
+    @staticmethod
+    def _moved_together(
+        keys: Sequence[DataKey], values: list[Any], parts: ListParts, settings: LabelSettings
+    ) -> list[int]:
+        """Replace labels of a list by those that the launches of a batch move: all, or some masks; gives the numbers of these."""
+        labels_at = [i for i, key in enumerate(keys) if key != DataKey.INPUT]
+        moved = {i: parts.moved_masks(values[i], settings.masks) for i in labels_at if keys[i] == DataKey.MASK}
+        done = [i for i, masks in moved.items() if masks is not None]
+        depends_on_sizes = settings.clips_each or not settings.box_filter.does_nothing
+        if len(done) == len(moved) and not depends_on_sizes:
+            others = [i for i in labels_at if i not in moved]
+            moved.update({i: parts.moved_boxes_or_points(keys[i], values[i]) for i in others})
+            if all(moved[i] is not None for i in others):
+                done = labels_at
+                parts.points = {i: moved[i] for i in others if keys[i] == DataKey.KEYPOINTS}
+        for i in done:
+            values[i] = moved[i]
+        return done
 
     @staticmethod
     def _with_labels(
@@ -255,10 +270,11 @@ class AugmentationSequential(ImageSequential):
         record: Record,
         settings: LabelSettings,
         masks: dict[int, labels.MaskCounts] | None,
+        moved_masks_at: Sequence[int] = (),
     ) -> list[Any]:
         """What belongs to the images of a call, moved, and the images as they are."""
         record.labels = LabelRecord(settings, record.shape, record.size, masks)
-        outputs = record.labels.move(keys, inputs, record.stages)
+        outputs = record.labels.move(keys, inputs, record.stages, moved_masks_at)
         record.stages.forget()
         return outputs
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from torch import Tensor
@@ -43,11 +43,15 @@ class LabelRecord:
         self._fractions: dict[int, Tensor | None] = {}  # of each input of boxes, the visible parts of their areas
         self._moves: dict[tuple[Any, ...], LabelMoves] = {}
 
-    def move(self, keys: Sequence[DataKey], values: Sequence[Any], stages: Chain) -> list[Any]:
-        """What belongs to images, after all stages; the images as they are."""
+    def move(
+        self, keys: Sequence[DataKey], values: Sequence[Any], stages: Chain, moved_masks_at: Sequence[int] = ()
+    ) -> list[Any]:
+        """What belongs to images, after all stages; the images as they are, and masks that others moved."""
         moved, has_others = list(values), False
         for i, key in enumerate(keys):
             if key == DataKey.MASK:
+                if i in moved_masks_at:
+                    continue
                 moved[i] = moved_masks(moved[i], stages, self.settings.masks, self.shape)
             elif key != DataKey.INPUT:
                 has_others = True
@@ -65,6 +69,13 @@ class LabelRecord:
         for moves in self._moves.values():
             moves.forget_map()
         return moved
+
+    @classmethod
+    def of_points(cls, shape: Size | None, size: Size, stages: Chain, moved: Mapping[int, Any]) -> LabelRecord:
+        """That of key points, by their inputs, which were moved through stages by others."""
+        record = cls(LabelSettings(), shape, size)
+        record._points = {i: [(points, LabelMoves(stages, size), None)] for i, points in moved.items()}
+        return record
 
     def visible_points(self) -> list[Any]:
         """Which points of each input are in the results, and were in all before."""

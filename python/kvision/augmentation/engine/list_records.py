@@ -7,18 +7,22 @@ from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
+import torch
 from torch import Tensor
 from torch.compiler import is_compiling
 
 from kvision.augmentation.engine.call_context import CallContext
 from kvision.augmentation.engine.execution import Shape, matrix_type
+from kvision.augmentation.engine.label_record import LabelRecord
 from kvision.augmentation.engine.label_settings import MaskReading
-from kvision.augmentation.engine.parts import Parts
+from kvision.augmentation.engine.parts import Parts, of_rows
 from kvision.augmentation.engine.passes import Alone, Joined, Running, plan_steps
 from kvision.augmentation.engine.record import Child, Record
 from kvision.augmentation.engine.runs import replayed
 from kvision.augmentation.engine.stages import Chain, Stage
+from kvision.augmentation.lists.boxes import are_boxes_or_points, follow_matrices, move_each
 from kvision.augmentation.lists.masks import checked_masks, move_masks
+from kvision.constants import DataKey
 
 
 class ListParts(Parts):
@@ -31,6 +35,7 @@ class ListParts(Parts):
         self, op: str, count: int, runs: Sequence[tuple[Sequence[int], Any]], child: int | None = None
     ) -> None:
         self.op, self.count, self._runs, self._child = op, count, runs, child
+        self.points: dict[int, Any] = {}  # those that were moved together, by their inputs
 
     @cached_property
     def rows(self) -> list[list[int]]:  # type: ignore[override]
@@ -40,7 +45,11 @@ class ListParts(Parts):
     def calls(self) -> list[Any]:
         each = [(run, rows) for _, run in self._runs for rows in run.rows()]
         if self._child is None:
-            return [run.record(rows) for run, rows in each]
+            records = [run.record(rows) for run, rows in each]
+            for record, rows in zip(records, self.rows if self.points else ()):
+                points = {i: of_rows(self.op, DataKey.KEYPOINTS, x, rows, self.count) for i, x in self.points.items()}
+                record.labels = LabelRecord.of_points(record.shape, record.size, record.stages, points)
+            return records
         return [run.executions(rows)[0][self._child] for run, rows in each]
 
     def params(self, read: Callable[[Any], Any]) -> Any:
@@ -80,6 +89,20 @@ class ListParts(Parts):
             for i, mask in zip(samples, own):
                 moved[i] = mask
         return moved
+
+    def moved_boxes_or_points(self, key: DataKey, values: Any) -> Any:
+        """Boxes or key points of each image, a list or a tensor, by the launches of a batch; None where others move them."""
+        if key == DataKey.CLASS:
+            return values
+        if not are_boxes_or_points(key, values) or len(values) != self.count:
+            return None
+        if not all(follow_matrices(run) for _, run in self._runs):
+            return None
+        moved = list(values)
+        for samples, run in self._runs:
+            for i, own in zip(samples, move_each(key, [moved[i] for i in samples], run)):
+                moved[i] = own
+        return torch.stack(moved) if isinstance(values, Tensor) else moved
 
     def of_child(self, number: int) -> ListParts:
         """The calls of an augmentation of the runs."""

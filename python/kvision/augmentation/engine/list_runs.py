@@ -19,7 +19,7 @@ from torch import Tensor
 from torch.compiler import is_compiling
 
 from kvision._constants import on_device
-from kvision._dtype import compute_dtype
+from kvision._dtype import as_dtype, compute_dtype
 from kvision.augmentation.columns import Columns
 from kvision.augmentation.draws import are_chosen_batches
 from kvision.augmentation.engine.call_context import CallContext
@@ -36,7 +36,7 @@ from kvision.augmentation.engine.list_plans import (
 )
 from kvision.augmentation.engine.list_records import ListParts, record_of_run
 from kvision.augmentation.engine.parts import Parts, params_of_rows
-from kvision.augmentation.engine.passes import Running, plan_steps
+from kvision.augmentation.engine.passes import Joined, Running, plan_steps
 from kvision.augmentation.engine.record import Child, Record
 from kvision.augmentation.engine.runs import execute, keep_executions, replayed, run_steps, runs_of, with_derived
 from kvision.augmentation.engine.sized import SIZES, ImagesOfList, find_sized
@@ -44,7 +44,7 @@ from kvision.augmentation.engine.stages import Stage, Warp
 from kvision.augmentation.keys import Keys
 from kvision.augmentation.noise import PixelNoise
 from kvision.augmentation.sample_rows import numbers_by, read_rows
-from kvision.augmentation.transforms import Transform
+from kvision.augmentation.transforms import Transform, transform_matrix
 from kvision.augmentation.warp_and_color import SAME
 from kvision.geometry.transform.lists.arguments import have_one_size, like_batch, row, some_of
 from kvision.geometry.transform.lists.arguments import sizes as sides_of
@@ -100,6 +100,21 @@ class ListRun(ImagesOfList):
         """What has the type and the device of the images."""
         dtype, device = self._type
         return torch.empty(0, dtype=dtype, device=device)
+
+    @cached_property
+    def warps(self) -> list[tuple[Joined, Tensor]]:
+        """The passes that move pixels, with the matrices (B, 3, 3) that they move by."""
+        dtype = compute_dtype(self.like)
+        columns = self.like.new_empty(self.shape[0], 0, dtype=dtype) if self.columns is None else self.columns
+        moving = [step for step in self.plan.run.steps if isinstance(step, Joined) and step.geometric]
+        return [(step, transform_matrix(as_dtype(columns, dtype), step.chain)) for step in moving]
+
+    @property
+    def others(self) -> list[Any]:
+        """The augmentations without such a pass that change labels."""
+        joined = {number for step, _ in self.warps for number in step.geometric}
+        calls = enumerate(zip(self.modules, self.plan.run.calls))
+        return [m for number, (m, call) in calls if number not in joined and call.applies and m._moves_labels]
 
     @cached_property
     def _has_noise(self) -> bool:

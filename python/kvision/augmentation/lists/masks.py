@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import accumulate
 from typing import Any
 
 import torch
 from torch import Tensor
 
+from kvision._constants import on_device
 from kvision._dtype import as_dtype, compute_dtype
 from kvision.augmentation.erase import erase_marked_list
 from kvision.augmentation.maps import exact, warp_each
-from kvision.augmentation.transforms import transform_matrix
 from kvision.geometry.transform.lists.arguments import sizes
 
 # What a kernel that copies values takes masks of other types for; those of uint8 and of floating point are themselves.
@@ -19,12 +20,12 @@ _SAME_BITS = {torch.bool: torch.uint8, torch.int8: torch.uint8, torch.int32: tor
 
 
 def checked_masks(masks: Any, sides: Sequence[int]) -> list[Tensor] | None:
-    """Masks (N, H, W) or (H, W) of images of these sizes as (N, H, W); None if they are not of one N, type and device."""
+    """Masks (N, H, W) or (H, W) of images of these sizes as (N, H, W); None if they are not of one type and device."""
     if not isinstance(masks, (list, tuple)) or 2 * len(masks) != len(sides) or {*map(type, masks)} != {Tensor}:
         return None
-    if len({(m.dtype, m.device, m.shape[:-2]) for m in masks}) > 1 or masks[0].dim() not in (2, 3):
+    if len({(m.dtype, m.device, m.dim()) for m in masks}) > 1 or masks[0].dim() not in (2, 3):
         return None
-    if sizes(masks) != list(sides) or 0 in masks[0].shape:
+    if sizes(masks) != list(sides):
         return None
     return [m if m.dim() == 3 else m[None] for m in masks]
 
@@ -53,29 +54,41 @@ def warped_masks(masks: list[Tensor], matrix: Tensor, size: Sequence[int], resam
 
 def move_masks(masks: list[Tensor], run: Any, reading: Any) -> list[Tensor] | None:
     """Masks (N, H, W) after a run on a list, as containers read them; None where the calls of parts move them."""
-    modules, plan, joined = run.modules, run.plan, set[int]()
+    if not run.warps and not run.others:
+        return masks
+    counts = [len(m) for m in masks]
+    if len({*counts}) == 1 and counts[0]:
+        return _moved(masks, None, run, reading)
+    if run.others:
+        return None
+    # Each instance is an image by itself, and one of zeros stands for none.
+    none, taken = masks[0].new_zeros(1, 1, 1), [max(n, 1) for n in counts]
+    planes = [plane for m in masks for plane in (m[:, None] if len(m) else [none.expand(1, *m.shape[1:])])]
+    rows = torch.arange(len(masks), device="cpu").repeat_interleave(torch.tensor(taken, device="cpu"))
+    moved = _moved(planes, on_device(rows, run.like.device), run, reading)
+    if moved is None:
+        return None
+    sides = [moved[end - n].shape[1:] for n, end in zip(taken, accumulate(taken))]
+    values = torch.cat([plane.flatten() for plane in moved]).split([n * h * w for n, (h, w) in zip(taken, sides)])
+    return [own.view(-1, *size)[:n] for own, n, size in zip(values, counts, sides)]
+
+
+def _moved(masks: list[Tensor], owners: Tensor | None, run: Any, reading: Any) -> list[Tensor] | None:
+    """The same of masks of one N: those of all images, or of the images whose numbers are `owners`."""
+    modules, plan = run.modules, run.plan
     if plan.sized.own < len(modules) or any(m._is_overridden("apply_transform_mask") for m in modules):
         return None
-    for step in plan.run.steps:
-        numbers = getattr(step, "geometric", None)
-        if not numbers:
-            continue
-        joined.update(numbers)
-        resampling = step.resampling
+    for step, matrix in run.warps:
+        numbers, resampling = step.geometric, step.resampling
         if len(numbers) == 1:  # which reads them by its own rule
             module = modules[numbers[0]]
             if not getattr(module, "_warps_masks", False):
                 return None
             resampling = module.resampling(module.flags)
-        like = run.like
-        dtype = compute_dtype(like)
-        columns = like.new_empty(len(masks), 0, dtype=dtype) if run.columns is None else as_dtype(run.columns, dtype)
-        matrix, own = transform_matrix(columns, step.chain), resampling.for_labels(reading.mode, reading.fill)
         size = plan.sized.sizes_after(numbers, masks) if plan.sized.changes(numbers) else sizes(masks)
-        masks = warped_masks(masks, matrix, size, own)
-    for number, (module, call) in enumerate(zip(modules, plan.run.calls)):
-        if number in joined or not call.applies or not module._moves_labels:
-            continue
+        matrix = matrix if owners is None else matrix.index_select(0, owners)
+        masks = warped_masks(masks, matrix, size, resampling.for_labels(reading.mode, reading.fill))
+    for module in run.others:
         moved = module._move_mask_list(masks, run.found, reading.fill)
         if moved is None:
             return None

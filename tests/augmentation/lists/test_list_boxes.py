@@ -1,0 +1,93 @@
+"""Boxes, points and masks of instances of lists of images: as of each image alone, by the launches of a batch."""
+
+import pytest
+import torch
+
+from augmentation.container.test_list_launches import Launches
+from augmentation.test_lists import assert_same, pictures, seeds_of
+from kvision import augmentation as A
+from kvision.augmentation.engine.list_records import ListParts
+
+AUGMENTATIONS = {
+    "colors": lambda: [A.ColorJitter(0.2, 0.2, p=1.0)],
+    "flip": lambda: [A.RandomHorizontalFlip()],
+    "affine": lambda: [A.RandomAffine(20.0, (0.1, 0.1), p=0.7)],
+    "perspective": lambda: [A.RandomPerspective(p=1.0)],
+    "transpose some": lambda: [A.Transpose()],
+    "chain": lambda: [A.RandomVerticalFlip(), A.RandomAffine(20.0), A.ColorJitter(0.2, 0.2), A.Transpose(p=1.0)],
+    "applied to some": lambda: [A.RandomRotation(30.0, p=1.0, p_batch=0.5), A.RandomHorizontalFlip()],
+    "map": lambda: [A.RandomElasticTransform((5, 5), (2.0, 2.0), p=1.0)],
+    "erased": lambda: [A.RandomAffine(20.0, p=1.0), A.RandomErasing(p=1.0)],
+    "crop": lambda: [A.RandomHorizontalFlip(), A.RandomResizedCrop((12, 14)), A.RandomAffine(20.0)],
+}
+FILTERS = {
+    "all boxes": {},
+    "clipped": {"clip_boxes": True, "min_box_visibility": 0.3},
+    "clipped each": {"clip_boxes": "each"},
+}
+KEYS = ["input", "mask", "bbox_xyxy", "class", "bbox", "bbox_xywh", "keypoints"]
+COUNTS = (2, 0, 1, 3)
+
+
+def labels_of(images):
+    boxes = [torch.rand(n, 4, device=x.device).cumsum(1) * 9 for n, x in zip(COUNTS, images)]
+    corners = torch.rand(len(images), 2, 4, 2, device=images[0].device) * 30
+    around = torch.stack([corners.amin(2), corners.amax(2)], 2)[
+        :, :, [0, 0, 1, 1, 1, 1, 0, 0], [0, 1, 0, 1, 0, 1, 0, 1]
+    ]
+    points = [torch.rand(n, 2, device=x.device) * 30 for n, x in zip((1, 3, 0, 2), images)]
+    masks = [(torch.rand(n, *x.shape[1:], device=x.device) < 0.5).byte() for n, x in zip(COUNTS, images)]
+    names = [[f"{i}"] * n for i, n in enumerate(COUNTS)]
+    return masks, boxes, names, around.unflatten(2, (4, 2)), [b.int() for b in boxes], points
+
+
+@pytest.mark.parametrize("filters", FILTERS)
+@pytest.mark.parametrize("name", AUGMENTATIONS)
+def test_labels_follow_as_alone(name, filters, device):
+    augment = A.AugmentationSequential(*AUGMENTATIONS[name](), data_keys=KEYS, **FILTERS[filters])
+    images = pictures(device)
+    given, seeds = labels_of(images), seeds_of(images)
+    results = augment(images, *given, seed=seeds)
+    visible, kept = augment.visible_points, augment.kept_boxes
+    for b, x in enumerate(images):
+        own = augment(x[None], *[value[b : b + 1] for value in given], seed=seeds[b : b + 1])
+        for of_list, alone in zip(results[1:], own[1:]):
+            assert type(of_list[b]) is type(alone[0])
+            if isinstance(alone[0], torch.Tensor):
+                assert of_list[b].dtype == alone[0].dtype and of_list[b].shape == alone[0].shape
+                assert_same(of_list[b].double(), alone[0].double())
+            else:
+                assert of_list[b] == alone[0]
+        assert all(torch.equal(mine[b], alone[0]) for mine, alone in zip(visible, augment.visible_points))
+        assert len(kept) == len(augment.kept_boxes)
+        assert all(torch.equal(mine[b], alone[0]) for mine, alone in zip(kept, augment.kept_boxes))
+
+
+@pytest.mark.parametrize("name", ["colors", "flip", "affine", "perspective", "chain"])
+def test_launches_do_not_depend_on_the_number_of_labels(name, backend):
+    if backend == "reference":
+        pytest.skip("this test is about the kernels")
+    augment = A.AugmentationSequential(*AUGMENTATIONS[name](), data_keys=KEYS)
+    counts = []
+    for times in (1, 1, 3):  # the first call makes constants
+        images = pictures("cpu") * times
+        given = [
+            value * times if isinstance(value, list) else value.repeat(times, 1, 1, 1)
+            for value in labels_of(images[:4])
+        ]
+        with Launches() as launches:
+            augment(images, *given, seed=seeds_of(images))
+        assert type(augment._record.parts) is ListParts
+        counts.append(launches.count)
+    assert counts[1] == counts[2]
+
+
+def test_labels_of_another_number_are_refused():
+    augment = A.AugmentationSequential(A.RandomHorizontalFlip(p=1.0), data_keys=["input", "bbox_xyxy"])
+    images = pictures("cpu")
+    with pytest.raises(ValueError, match="expected bbox_xyxy of 4 images"):
+        augment(images, [torch.rand(1, 4)] * 3)
+    with pytest.raises(ValueError, match="expected boxes of shape"):
+        augment(images, [torch.rand(1, 5)] * 4)
+    with pytest.raises(TypeError, match="of one type"):
+        augment(images, [torch.rand(1, 4), *[torch.ones(1, 4, dtype=torch.int64)] * 3])

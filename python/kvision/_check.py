@@ -58,7 +58,8 @@ def described(x: Any) -> str:
 
 def is_pil(x: Any) -> bool:
     """Whether `x` is a PIL image, without importing PIL, which is optional."""
-    return type(x).__module__.startswith("PIL.")
+    # Graphs have no module of a class.
+    return not isinstance(x, (Tensor, list, tuple)) and type(x).__module__.startswith("PIL.")
 
 
 def is_array(x: Any) -> bool:

@@ -12,6 +12,7 @@ from kvision._dtype import compute_dtype
 from kvision.augmentation.engine import Execution, Params
 from kvision.augmentation.erase import erase_rectangles, erased_where, is_erased
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
+from kvision.augmentation.lists.masks import filled_masks
 from kvision.augmentation.random_generator.erase import RectangleEraseGenerator
 from kvision.augmentation.ranges import Numbers
 from kvision.geometry.transform.lists.arguments import like_batch
@@ -79,6 +80,12 @@ class RandomErasing(IntensityAugmentationBase2D, keeps_contract=True):
         values = params["values"].to(compute_dtype(like))
         boxes = self._param_generator.to_columns(params, tuple(like.shape))[:, None]
         return boxes, values * 255 if like.dtype == torch.uint8 else values
+
+    def _move_mask_list(self, masks: list[Tensor], execution: Execution, fill: Any) -> list[Tensor] | None:
+        like = like_batch(masks)
+        params = self._params_on_device(like, execution, for_users=False)
+        boxes = self._param_generator.to_columns(params, execution.shape)[:, None]
+        return filled_masks(masks, fill or 0, lambda x, value: Operation(erase_rectangles, (boxes, value)).on_list(x))
 
     def transform_masks(self, masks: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
         if not execution.applied:

@@ -91,3 +91,17 @@ def test_labels_of_another_number_are_refused():
         augment(images, [torch.rand(1, 5)] * 4)
     with pytest.raises(TypeError, match="of one type"):
         augment(images, [torch.rand(1, 4), *[torch.ones(1, 4, dtype=torch.int64)] * 3])
+
+
+@pytest.mark.tracing
+def test_graphs_have_masks_boxes_and_points():
+    augment = A.AugmentationSequential(
+        *AUGMENTATIONS["affine"](), data_keys=["input", "mask", "bbox_xyxy", "keypoints"]
+    )
+    images = pictures("cpu")
+    masks, boxes, *_, points = labels_of(images)
+    compiled = torch.compile(augment, fullgraph=True, backend="aot_eager")
+    for mine, eager in zip(
+        compiled(images, masks, boxes, points, seed=3), augment(images, masks, boxes, points, seed=3)
+    ):
+        assert all(torch.allclose(a.double(), b.double(), atol=1e-4) for a, b in zip(mine, eager))

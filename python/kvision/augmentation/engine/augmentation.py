@@ -150,7 +150,7 @@ class AugmentationBase(ListExecutor, keeps_contract=True):
         """Masks (B, C, H, W) of any type, moved as the images were."""
         return self._masks_by_name(masks, execution, flags) if self._is_overridden("apply_transform_mask") else masks
 
-    def _move_mask_list(self, masks: list[Tensor], found: Tensor | None, fill: Any) -> list[Tensor] | None:
+    def _move_mask_list(self, masks: list[Tensor], execution: Execution, fill: Any) -> list[Tensor] | None:
         """Masks (N, H, W) of the images of a list, changed as the images were; None where each is changed by itself."""
         return None
 

@@ -54,6 +54,9 @@ class ListRun(ImagesOfList):
     """A run on a list: it draws, and has what it drew for the calls of its parts."""
 
     found: Tensor | None = None  # (B, 1, H, W) of the largest sides, what masks gave
+    _label_steps: list[tuple[int, Joined | None, Tensor | None]] | None = (
+        None  # no cached property, whose lock has no graph before Python 3.12
+    )
 
     def __init__(self, images: list[Tensor], children: Sequence[Child], context: CallContext, plan: ListPlan) -> None:
         self.context, self.plan = context, plan
@@ -95,26 +98,44 @@ class ListRun(ImagesOfList):
         sizes = on_device(torch.tensor(sides, dtype=torch.float32, device="cpu").view(-1, 2), images[0].device)
         return sizes.expand(len(images), 2)
 
+    @property
+    def device(self) -> torch.device:
+        """That of the images."""
+        return self._type[1]
+
     @cached_property
     def like(self) -> Tensor:
         """What has the type and the device of the images."""
         dtype, device = self._type
         return torch.empty(0, dtype=dtype, device=device)
 
-    @cached_property
-    def warps(self) -> list[tuple[Joined, Tensor]]:
-        """The passes that move pixels, with the matrices (B, 3, 3) that they move by."""
-        dtype = compute_dtype(self.like)
-        columns = self.like.new_empty(self.shape[0], 0, dtype=dtype) if self.columns is None else self.columns
-        moving = [step for step in self.plan.run.steps if isinstance(step, Joined) and step.geometric]
-        return [(step, transform_matrix(as_dtype(columns, dtype), step.chain)) for step in moving]
-
     @property
-    def others(self) -> list[Any]:
-        """The augmentations without such a pass that change labels."""
-        joined = {number for step, _ in self.warps for number in step.geometric}
-        calls = enumerate(zip(self.modules, self.plan.run.calls))
-        return [m for number, (m, call) in calls if number not in joined and call.applies and m._moves_labels]
+    def label_steps(self) -> list[tuple[int, Joined | None, Tensor | None]]:
+        """What labels follow in their order: passes that move pixels with matrices (B, 3, 3), and single augmentations.
+
+        Each with the number of its first augmentation.
+        """
+        if self._label_steps is None:
+            like = torch.empty(self.shape[0], 0, dtype=self._type[0], device=self._type[1])
+            columns = as_dtype(like if self.columns is None else self.columns, compute_dtype(like))
+            steps: list[tuple[int, Joined | None, Tensor | None]] = []
+            moving = [step for step in self.plan.run.steps if isinstance(step, Joined) and step.geometric]
+            for number, (module, call) in enumerate(zip(self.modules, self.plan.run.calls)):
+                own = [step for step in moving if number in step.geometric]
+                if own and own[0].geometric[0] == number:
+                    steps.append((number, own[0], transform_matrix(columns, own[0].chain)))
+                elif not own and call.applies and module._moves_labels:
+                    steps.append((number, None, None))
+            self._label_steps = steps
+        return self._label_steps
+
+    def execution(self, number: int) -> Execution:
+        """What an augmentation did to all images, whatever their size."""
+        execution = self.plan.run.executions(self.like, self.columns, self.keys)[number]
+        execution.shape = (self.shape[0], *execution.shape[1:])
+        if self.found is not None:
+            execution.found = self.modules[number]._found(self.found)
+        return execution
 
     @cached_property
     def _has_noise(self) -> bool:
@@ -244,7 +265,10 @@ def run_list(
     else:
         refuse_list(context.op, modules)
         seeds = seeds_of_list(context.op, modules, count, context.seed, context.generator_of(first))
-        groups = _decided_groups(modules, seeds, context)
+        if any(map(decides, modules)):
+            groups = _decided_groups(modules, seeds, context)
+        else:
+            groups = [(range(count), [may_apply(m, context.is_certain) for m in modules])]
     runs: list[tuple[Sequence[int], Any]] = []
     for samples, applied in groups:
         some, own, of_some = images, children, context
@@ -258,9 +282,10 @@ def run_list(
         if run is None:
             return None
         runs.append((samples, run))
-    if len(runs) == 1 and seeds is None:
+    if len(runs) == 1:  # with seeds a list, as all images may have been in one group by chance
         y, stages, _ = runs[0][1].run(images)
-    else:  # a list, as all images may have been in one group by chance
+        y, stages = (y, stages) if seeds is None else (list(y), [])
+    else:
         y, stages = list(images), []
         for samples, run in runs:
             for i, result in zip(samples, run.run(some_of(images, samples))[0]):

@@ -18,10 +18,11 @@ from kvision.constants import DataKey
 
 def follow_matrices(run: Any) -> bool:
     """Whether boxes and points follow a run on a list by the matrices of its warps, and none is removed."""
-    moving = [run.modules[number] for step, _ in run.warps for number in step.geometric]
-    return all(getattr(m, "_warps_points", False) and not m.removes_boxes for m in moving) and all(
-        m.keeps_positions for m in run.others
-    )
+    for number, step, _ in run.label_steps:
+        moving = [run.modules[n] for n in ([number] if step is None else step.geometric)]
+        if not all(m.keeps_positions or (step and m._warps_points and not m.removes_boxes) for m in moving):
+            return False
+    return True
 
 
 def are_boxes_or_points(key: DataKey, values: Any) -> bool:
@@ -38,9 +39,10 @@ def move_each(key: DataKey, values: Sequence[Tensor], run: Any) -> list[Tensor]:
     counts = [len(x) for x in values]
     if not any(counts):
         return list(values)
-    owners = torch.arange(len(counts), device="cpu").repeat_interleave(torch.tensor(counts, device="cpu"))
-    rows = on_device(owners, run.like.device)
-    moves = LabelMoves(Chain([ByMatrix(matrix.index_select(0, rows)) for _, matrix in run.warps]), ())
+    rows = on_device(torch.tensor([b for b, n in enumerate(counts) for _ in range(n)], device="cpu"), run.device)
+    moves = LabelMoves(
+        Chain([ByMatrix(matrix.index_select(0, rows)) for _, step, matrix in run.label_steps if step]), ()
+    )
     batch = torch.cat([x for x in values if len(x)])[:, None]
     if key == DataKey.KEYPOINTS:
         moved = labels.move_points(batch, lambda points: moves.move_points(points)[0], 2)

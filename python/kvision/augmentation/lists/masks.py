@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import accumulate
 from typing import Any
 
@@ -11,7 +11,6 @@ from torch import Tensor
 
 from kvision._constants import on_device
 from kvision._dtype import as_dtype, compute_dtype
-from kvision.augmentation.erase import erase_marked_list
 from kvision.augmentation.maps import exact, warp_each
 from kvision.geometry.transform.lists.arguments import sizes
 
@@ -30,15 +29,17 @@ def checked_masks(masks: Any, sides: Sequence[int]) -> list[Tensor] | None:
     return [m if m.dim() == 3 else m[None] for m in masks]
 
 
-def filled_masks(masks: list[Tensor], marks: Tensor, value: float) -> list[Tensor] | None:
-    """Masks (N, H, W) with a value at marks (B, 1, H, W) bool, of the largest sides; None if no kernel copies their type."""
+def filled_masks(
+    masks: list[Tensor], value: float, erase: Callable[[list[Tensor], Tensor], Sequence[Tensor]]
+) -> list[Tensor] | None:
+    """Masks (N, H, W) with a value where `erase` sets images to values (1, 1); None if no kernel copies their type."""
     first = masks[0]
     kind = first.dtype if first.is_floating_point() else _SAME_BITS.get(first.dtype, torch.uint8)
-    if first.device != marks.device or kind.itemsize != first.dtype.itemsize:
+    if kind.itemsize != first.dtype.itemsize:
         return None
     fill = torch.full((1, 1), value, dtype=first.dtype, device=first.device).view(kind)
     values = masks if kind == first.dtype else [m.view(kind) for m in masks]
-    filled = erase_marked_list(values, marks.view(torch.uint8), as_dtype(fill, compute_dtype(values[0])))
+    filled = erase(values, as_dtype(fill, compute_dtype(values[0])))
     return [m.view(first.dtype) for m in filled] if kind != first.dtype else list(filled)
 
 
@@ -54,18 +55,18 @@ def warped_masks(masks: list[Tensor], matrix: Tensor, size: Sequence[int], resam
 
 def move_masks(masks: list[Tensor], run: Any, reading: Any) -> list[Tensor] | None:
     """Masks (N, H, W) after a run on a list, as containers read them; None where the calls of parts move them."""
-    if not run.warps and not run.others:
+    if not run.label_steps:
         return masks
     counts = [len(m) for m in masks]
     if len({*counts}) == 1 and counts[0]:
         return _moved(masks, None, run, reading)
-    if run.others:
+    if any(step is None for _, step, _ in run.label_steps):
         return None
     # Each instance is an image by itself, and one of zeros stands for none.
     none, taken = masks[0].new_zeros(1, 1, 1), [max(n, 1) for n in counts]
     planes = [plane for m in masks for plane in (m[:, None] if len(m) else [none.expand(1, *m.shape[1:])])]
-    rows = torch.arange(len(masks), device="cpu").repeat_interleave(torch.tensor(taken, device="cpu"))
-    moved = _moved(planes, on_device(rows, run.like.device), run, reading)
+    rows = torch.tensor([b for b, n in enumerate(taken) for _ in range(n)], device="cpu")
+    moved = _moved(planes, on_device(rows, run.device), run, reading)
     if moved is None:
         return None
     sides = [moved[end - n].shape[1:] for n, end in zip(taken, accumulate(taken))]
@@ -78,7 +79,13 @@ def _moved(masks: list[Tensor], owners: Tensor | None, run: Any, reading: Any) -
     modules, plan = run.modules, run.plan
     if plan.sized.own < len(modules) or any(m._is_overridden("apply_transform_mask") for m in modules):
         return None
-    for step, matrix in run.warps:
+    for number, step, matrix in run.label_steps:
+        if step is None:
+            moved = modules[number]._move_mask_list(masks, run.execution(number), reading.fill)
+            if moved is None:
+                return None
+            masks = moved
+            continue
         numbers, resampling = step.geometric, step.resampling
         if len(numbers) == 1:  # which reads them by its own rule
             module = modules[numbers[0]]
@@ -88,9 +95,4 @@ def _moved(masks: list[Tensor], owners: Tensor | None, run: Any, reading: Any) -
         size = plan.sized.sizes_after(numbers, masks) if plan.sized.changes(numbers) else sizes(masks)
         matrix = matrix if owners is None else matrix.index_select(0, owners)
         masks = warped_masks(masks, matrix, size, resampling.for_labels(reading.mode, reading.fill))
-    for module in run.others:
-        moved = module._move_mask_list(masks, run.found, reading.fill)
-        if moved is None:
-            return None
-        masks = moved
     return masks

@@ -16,6 +16,7 @@ from kvision.augmentation import ranges
 from kvision.augmentation.engine import Execution, Params
 from kvision.augmentation.erase import erased_where
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
+from kvision.augmentation.lists.masks import filled_masks
 from kvision.augmentation.ranges import Numbers
 from kvision.core.exceptions import ShapeError
 from kvision.geometry.transform.lists.arguments import like_batch
@@ -57,6 +58,9 @@ class DropoutBase(IntensityAugmentationBase2D, keeps_contract=True):
     ) -> Tensor:
         dropped, values = self.is_dropped(params, tuple(input.shape), input.device), self._values(input, params)
         return torch.where(dropped, (values.round() if input.dtype == torch.uint8 else values).to(input.dtype), input)
+
+    def _move_mask_list(self, masks: list[Tensor], execution: Execution, fill: Any) -> list[Tensor] | None:
+        return masks if self.fill_mask is None else None
 
     def transform_masks(self, masks: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
         if not execution.applied or self.fill_mask is None:
@@ -102,8 +106,20 @@ class ErasingDropout(DropoutBase, keeps_contract=True):
         return runs_on_lists(self.eraser) and not isinstance(self.fill, str) and not self._is_customized()
 
     def _run_list(self, images: Sequence[Tensor], execution: Execution) -> list[Tensor]:
-        like = like_batch(images)
+        return self._erasing_of_list(images, like_batch(images), execution).on_list(images)
+
+    def _erasing_of_list(self, images: Sequence[Tensor], like: Tensor, execution: Execution) -> Operation:
         operation = self._operation_on_list(images, like, execution)
         assert isinstance(operation, Operation)
         has_columns = self.keeps_unchosen and execution.params is None
-        return erased_where(operation, None if has_columns else execution.chosen).on_list(images)
+        return erased_where(operation, None if has_columns else execution.chosen)
+
+    def _move_mask_list(self, masks: list[Tensor], execution: Execution, fill: Any) -> list[Tensor] | None:
+        if self.fill_mask is None or isinstance(self.fill, str):
+            return super()._move_mask_list(masks, execution, fill)
+        channels = len(self.fill) if isinstance(self.fill, list) else 1  # of the images
+        erasing = self._erasing_of_list(masks, like_batch(masks)[:, :1].expand(-1, channels, -1, -1), execution)
+        value = self.fill_mask if fill is None else fill
+        return filled_masks(
+            masks, value, lambda x, own: erasing._replace(arguments=(erasing.arguments[0], own)).on_list(x)
+        )

@@ -199,10 +199,15 @@ class MaskDropout(DropoutBase, keeps_contract=True):
         execution.found = self._found(dropped)
         return dropped
 
-    def _move_mask_list(self, masks: list[Tensor], found: Tensor | None, fill: Any) -> list[Tensor] | None:
-        if self.fill_mask is None or found is None:
+    def _move_mask_list(self, masks: list[Tensor], execution: Execution, fill: Any) -> list[Tensor] | None:
+        if self.fill_mask is None:
             return masks
-        return filled_masks(masks, found, self.fill_mask if fill is None else fill)
+        marks = (execution.found or {})["dropped"].view(torch.uint8)
+        if marks.device != masks[0].device:
+            return None
+        return filled_masks(
+            masks, self.fill_mask if fill is None else fill, lambda x, value: erase_marked_list(x, marks, value)
+        )
 
     def _operates_on(self, dtype: torch.dtype) -> bool:
         return not isinstance(self.fill, str) and not self._is_customized()

@@ -37,6 +37,8 @@ struct AddLayer {
                   left = clamp(w[2], int64_t(0), layer_width - x.width);
     return layer + own * layer_strides[0] + top * layer_strides[2] + left * layer_strides[3];
   }
+  // The layer of an image alone, which is in a block of memory from `begin` on and has the size of the image.
+  KV_HD void select_packed(int64_t begin) { layer += begin, layers = 1, layer_strides[2] = x.width; }
   KV_HD void select(int64_t b) {
     if (windows)
       windows += 3 * b;
@@ -46,9 +48,32 @@ struct AddLayer {
   }
 };
 
-// Layers of lists are as large as the largest image; each image has the upper left part, or a window.
+// Where the layers of a list are packed: (1, H, W) of the size of each image, one after the other, each at a multiple
+// of kLayerUnit numbers. The parameters of a kernel have room for those of every second one.
+constexpr int kLayerUnit = 16;
+template <int Count>
+struct PackedLayers {
+  bool are_packed;
+  uint32_t begin[Count / 2];  // in units
+
+  KV_HD static int64_t units(int64_t height, int64_t width) { return (height * width + kLayerUnit - 1) / kLayerUnit; }
+  KV_HD int64_t begin_of(int b, ListedImage const* images) const {
+    int64_t const before = b % 2 ? units(images[b - 1].height, images[b - 1].width) : 0;
+    return kLayerUnit * (begin[b / 2] + before);
+  }
+};
+
+// Layers of lists are packed, or as large as the largest image; then each image has the upper left part, or a window.
 template <class T>
-struct AddLayerList : FilterList<AddLayer<T>, T> {};
+struct AddLayerList : FilterList<AddLayer<T>, T> {
+  PackedLayers<kMaxListed> packed;
+
+  KV_HD AddLayer<T> sample(int b) const {
+    AddLayer<T> one = FilterList<AddLayer<T>, T>::sample(b);
+    if (packed.are_packed) one.select_packed(packed.begin_of(b, this->list.images));
+    return one;
+  }
+};
 
 // The gradients of images, whose planes are channels in any layout.
 template <class T>
@@ -57,7 +82,15 @@ struct AddLayerBackward : AddLayer<T> {
   Planes<T> grad_x;
 };
 template <class T>
-struct AddLayerBackwardList : GradientList<AddLayerBackward<T>, T> {};
+struct AddLayerBackwardList : GradientList<AddLayerBackward<T>, T> {
+  PackedLayers<kMaxListedGradients> packed;
+
+  KV_HD AddLayerBackward<T> sample(int b) const {
+    AddLayerBackward<T> one = GradientList<AddLayerBackward<T>, T>::sample(b);
+    if (packed.are_packed) one.select_packed(packed.begin_of(b, this->images));
+    return one;
+  }
+};
 
 // The four factors of a channel of a sample.
 template <class F>

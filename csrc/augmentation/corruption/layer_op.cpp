@@ -6,26 +6,32 @@ namespace kv::augmentation {
 namespace {
 
 // Images (B, C, H, W), or what stands for a list; layer (B or 1, C or 1, H, W), or layers of any number and size with
-// windows (B, 3) int64; factors (B or 1, C or 1, 4). Layers and factors are of the type that is computed in.
+// windows (B, 3) int64, or the packed layers (N,) of a list; factors (B or 1, C or 1, 4). Layers and factors are of the
+// type that is computed in.
 struct LayerArguments {
   char const* op;
   Tensor const &images, &layer;
   OptionalTensor windows;
   Tensor factors;
+  bool is_packed;
 
   LayerArguments(char const* op, Tensor const& images, Tensor const& layer, OptionalTensor const& windows,
                  Tensor const& factors)
-      : op(op), images(images), layer(layer), windows(windows), factors(factors) {
+      : op(op), images(images), layer(layer), windows(windows), factors(factors), is_packed(layer.dim() == 1) {
     check_images(op, "images", images);
     int64_t const batch = images.size(0), channels = images.size(1);
     auto const is_one_or = [](int64_t size, int64_t all) { return size == all || size == 1; };
+    auto const is_like_images = [&](Tensor const& t) {
+      return t.scalar_type() == compute_dtype(images) && t.device() == images.device();
+    };
     auto const fits = [&](Tensor const& t) {
-      return t.scalar_type() == compute_dtype(images) && t.device() == images.device() &&
-             is_one_or(t.size(1), channels) && (windows || is_one_or(t.size(0), batch));
+      return is_like_images(t) && is_one_or(t.size(1), channels) && (windows || is_one_or(t.size(0), batch));
     };
     KV_CHECK(factors.dim() == 3 && fits(factors) && is_one_or(factors.size(0), batch) && factors.size(2) == 4, op,
              ": expected factors of shape (B, C, 4), of the type that is computed in, on the device of images");
-    KV_CHECK(images.numel() == 0 || (layer.dim() == 4 && fits(layer) && layer.numel() > 0), op,
+    bool const is_layer = is_packed ? is_like_images(layer) && layer.stride(0) == 1 && !windows
+                                    : layer.dim() == 4 && fits(layer) && layer.numel() > 0;
+    KV_CHECK(images.numel() == 0 || is_layer, op,
              ": expected a layer of the type that is computed in, on the device of images");
     if (windows)
       KV_CHECK(windows->dim() == 2 && windows->size(0) == batch && windows->size(1) == 3 &&
@@ -35,6 +41,20 @@ struct LayerArguments {
              ": expected at most 65535 images, and 2^30 pixels in each");
     this->factors = dense(factors);
     if (windows) this->windows = dense(*windows);
+  }
+  // Where the packed layers of images (C, H, W) begin, in units; nothing of others, whose sizes are checked.
+  std::vector<int64_t> begins(Tensors const& list) const {
+    std::vector<int64_t> begins;
+    if (!is_packed) {
+      for (Tensor const& x : list) check_size(x.size(1), x.size(2), false);
+      return begins;
+    }
+    begins.push_back(0);
+    for (Tensor const& x : list)
+      begins.push_back(begins.back() + PackedLayers<kMaxListed>::units(x.size(1), x.size(2)));
+    KV_CHECK(begins.back() <= UINT32_MAX && layer.numel() == kLayerUnit * begins.back(), op,
+             ": expected packed layers of the sizes of images");
+    return begins;
   }
   void check_size(int64_t height, int64_t width, bool is_equal) const {
     int64_t const tall = layer.size(2), wide = layer.size(3);
@@ -50,9 +70,13 @@ struct LayerArguments {
     p.channels = images.size(1);
     p.layer = data_ptr<F const>(layer), p.factors = data_ptr<F const>(factors);
     p.windows = windows ? data_ptr<int64_t const>(*windows) : nullptr;
-    p.layers = layer.size(0), p.layer_height = layer.size(2), p.layer_width = layer.size(3);
-    for (int i = 0; i < 4; ++i) p.layer_strides[i] = layer.stride(i);
-    if (layer.size(1) == 1) p.layer_strides[1] = 0;
+    if (is_packed) {
+      p.layer_strides[3] = 1;
+    } else {
+      p.layers = layer.size(0), p.layer_height = layer.size(2), p.layer_width = layer.size(3);
+      for (int i = 0; i < 4; ++i) p.layer_strides[i] = layer.stride(i);
+      if (layer.size(1) == 1) p.layer_strides[1] = 0;
+    }
     p.factor_strides[0] = factors.size(0) > 1 ? 4 * factors.size(1) : 0;
     p.factor_strides[1] = factors.size(1) > 1 ? 4 : 0;
     p.full_range = sizeof(T) == 1 ? 255 : 1;
@@ -60,11 +84,19 @@ struct LayerArguments {
   }
 };
 
+// Fills the begins of `count` layers from `first` on.
+template <int Count>
+void set_packed(PackedLayers<Count>& packed, std::vector<int64_t> const& begins, int64_t first, int count) {
+  packed.are_packed = !begins.empty();
+  for (int b = 0; packed.are_packed && b < count; b += 2) packed.begin[b / 2] = uint32_t(begins[size_t(first + b)]);
+}
+
 Tensor add_layer(Tensor const& images, Tensor const& layer, OptionalTensor const& windows, Tensor const& factors) {
   LayerArguments const arguments("add_layer", images, layer, windows, factors);
   Layout const layout = layout_of(images);
   Tensor const x = as_layout(images, layout), y = empty_like(x, layout);
   if (images.numel() == 0) return y;
+  KV_CHECK(!arguments.is_packed, arguments.op, ": expected a layer of shape (B, C, H, W)");
   arguments.check_size(images.size(2), images.size(3), !windows);
   dispatch_floating_and_uint8(arguments.op, images, [&]<class T>(Type<T>) {
     AddLayer<T> params = arguments.params<T>();
@@ -78,9 +110,12 @@ Tensors add_layer_list(Tensors const& images, OptionalTensor const& chosen, Tens
                        OptionalTensor const& windows, Tensor const& factors) {
   ListedImages const list("add_layer_list", images, chosen);
   LayerArguments const arguments(list.kept.op, list.like(), layer, windows, factors);
-  for (Tensor const& x : images) arguments.check_size(x.size(1), x.size(2), false);
+  std::vector<int64_t> const begins = arguments.begins(images);
+  int64_t first = 0;
   dispatch_floating_and_uint8(arguments.op, list.like(), [&]<class T>(Type<T>) {
-    list.filter<AddLayerList<T>>(arguments.params<T>(), 4, [&](auto const& p, [[maybe_unused]] int64_t cost) {
+    list.filter<AddLayerList<T>>(arguments.params<T>(), 4, [&](AddLayerList<T>& p, [[maybe_unused]] int64_t cost) {
+      set_packed(p.packed, begins, first, p.list.count);
+      first += p.list.count;
       KV_RUN(add_layer_list, list.like(), p, p.list.items, cost);
     });
   });
@@ -94,11 +129,14 @@ Tensors add_layer_list_backward(Tensors const& images_and_grads, OptionalTensor 
   auto const [images, given] = halves(op, images_and_grads);
   ListedImages const list(op, images, chosen);
   LayerArguments const arguments(op, list.like(), layer, windows, factors);
-  for (Tensor const& x : images) arguments.check_size(x.size(1), x.size(2), false);
+  std::vector<int64_t> const begins = arguments.begins(images);
+  int64_t first = 0;
   Tensors const grads = list.in_layout_of_images(given);
   dispatch_floating(op, list.like(), [&]<class T>(Type<T>) {
     AddLayerBackward<T> const all{arguments.params<T>(), {}, {}};
-    list.gradients<AddLayerBackwardList<T>>(all, grads, 6, [&](auto const& p, [[maybe_unused]] int64_t cost) {
+    list.gradients<AddLayerBackwardList<T>>(all, grads, 6, [&](auto& p, [[maybe_unused]] int64_t cost) {
+      set_packed(p.packed, begins, first, p.count);
+      first += p.count;
       KV_RUN(add_layer_list_backward, list.like(), p, p.items, cost);
     });
   });

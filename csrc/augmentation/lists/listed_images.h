@@ -48,7 +48,7 @@ struct ListedImages {
     auto const items_of = [&](geometry::Size size) {
       return ceil_div(planes() * size.height, rows_of_item(size.width));
     };
-    for_each_table<List>(all, items_of, [&](List const& list) {
+    for_each_table<List>(all, items_of, [&](List& list) {
       run(list, cost_of_pixel * max(kItemPixels, like().size(3)) * channels() / planes());
     });
   }

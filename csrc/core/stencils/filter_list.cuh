@@ -11,8 +11,10 @@ namespace {
 
 // The sample of a block, in shared memory, and the number of the block among those of the sample. Of a sample that is
 // not chosen each block copies as many rows, and there is nothing left to do: null.
-template <class Filter, class T>
-__device__ __forceinline__ Filter const* sample_of_block(FilterList<Filter, T> const& p, unsigned& block) {
+template <class List>
+  requires requires(List const& p) { p.list; }
+__device__ __forceinline__ auto sample_of_block(List const& p, unsigned& block) -> decltype(p.sample(0)) const* {
+  using Filter = decltype(p.sample(0));
   __shared__ __align__(16) unsigned char memory[sizeof(Filter)];
   int const b = p.list.sample_of(int(blockIdx.x)), first = p.list.first[b];
   if (threadIdx.x == 0) new (memory) Filter(p.sample(b));

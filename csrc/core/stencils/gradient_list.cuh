@@ -11,8 +11,10 @@ namespace {
 
 // The sample of a block, in shared memory, and the number of the block among those of the sample. Of a sample that is
 // not chosen each block copies as many rows, and there is nothing left to do: null.
-template <class Gradient, class T>
-__device__ __forceinline__ Gradient const* sample_of_block(GradientList<Gradient, T> const& p, unsigned& block) {
+template <class List>
+  requires requires(List const& p) { p.grads; }
+__device__ __forceinline__ auto sample_of_block(List const& p, unsigned& block) -> decltype(p.sample(0)) const* {
+  using Gradient = decltype(p.sample(0));
   __shared__ __align__(16) unsigned char memory[sizeof(Gradient)];
   int const b = p.sample_of(int(blockIdx.x));
   if (threadIdx.x == 0) new (memory) Gradient(p.sample(b));

@@ -4,7 +4,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from kvision.augmentation.corruption.layer import add_layer
+from kvision.augmentation.corruption.layer import add_layer, layered
+from kvision.geometry.transform.lists.kept_sizes import Operation
+from kvision.geometry.transform.lists.remap_list import packed
 from op_tests import OpTests, assert_close
 
 
@@ -61,3 +63,33 @@ def test_what_is_clamped(device):
     x = torch.tensor([-1.0, 0.5, 2.0, float("nan")], device=device)[None, None, None]
     y = add_layer(x, torch.ones_like(x), None, torch.tensor([[[0.5, 0.5, -0.25, 0.5]]], device=device))
     assert_close(y.flatten().cpu(), torch.tensor([0.25, 0.75, 1.0, float("nan")]))
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.uint8, torch.float16], ids=str)
+def test_packed_layers_of_a_list_are_those_of_each_image(dtype, device):
+    """Those of an odd and an even number of images, all but the chosen ones copied, and the gradients of all."""
+    sides = [(5 + b % 4, 3 + b % 7) for b in range(7)]
+    images = [torch.rand(3, *size, device=device).mul(255 if dtype == torch.uint8 else 1).to(dtype) for size in sides]
+    layers = [torch.rand(1, *size, device=device) for size in sides]
+    factors = torch.rand(len(sides), 3, 4, device=device)
+    chosen = (torch.arange(len(sides), device=device) % 3 > 0).float()
+    if dtype.is_floating_point:
+        images = [x.requires_grad_() for x in images]
+    results = Operation(add_layer, (packed(layers), None, factors)).on_list(images, chosen)
+    expected = [
+        add_layer(x[None], layer[None], None, own[None])[0] if is_chosen else x
+        for x, layer, own, is_chosen in zip(images, layers, factors, chosen)
+    ]
+    assert all(map(torch.equal, results, expected))
+    if dtype.is_floating_point:
+        grads = [torch.rand_like(y) for y in results]
+        mine, alone = (torch.autograd.grad(ys, images, grads) for ys in (results, expected))
+        assert all(torch.allclose(a, b, atol=1e-3) for a, b in zip(mine, alone))
+
+
+def test_packed_layers_of_other_sizes_are_refused(backend):
+    if backend == "reference":
+        pytest.skip("this test is about the kernels")
+    images, layers = [torch.rand(3, 5, 4), torch.rand(3, 7, 9)], [torch.rand(1, 5, 4), torch.rand(1, 9, 9)]
+    with pytest.raises(RuntimeError, match="expected packed layers of the sizes of images"):
+        layered(packed(layers), 1.0, 0.0, 1.0, 0.0).on_list(images)

@@ -12,8 +12,11 @@ from kvision._clamp import clamp
 from kvision._constants import constant
 from kvision._dtype import compute_dtype
 from kvision._ops import match_layout, register
-from kvision.geometry.transform.lists.arguments import halves, row
+from kvision.geometry.transform.lists.arguments import halves, row, sizes
 from kvision.geometry.transform.lists.kept_sizes import Operation, register_filter, register_list_backward
+from kvision.geometry.transform.lists.remap_list import unpacked
+
+Layers = Tensor | Sequence[Tensor]
 
 
 def _reference(images: Tensor, layer: Tensor, windows: Tensor | None, factors: Tensor) -> Tensor:
@@ -43,20 +46,31 @@ def _cut(layers: Tensor, windows: Tensor, size: Sequence[int]) -> Tensor:
 add_layer = register("add_layer", _reference, bytes=True, casts_outputs=True)
 
 
-def _of_sample(b: int, layer: Tensor, windows: Tensor | None, factors: Tensor) -> tuple[Tensor, ...]:
+def _by_image(
+    images: Sequence[Tensor], layer: Tensor, windows: Tensor | None, factors: Tensor
+) -> tuple[Layers, Tensor | None, Tensor]:
+    """The arguments of a list with the layers of each image, (1, 1, H, W), in place of packed ones (N,)."""
+    if layer.dim() > 1:
+        return layer, windows, factors
+    return [own[None] for own in unpacked(layer, sizes(images), 1)], windows, factors
+
+
+def _of_sample(b: int, layer: Layers, windows: Tensor | None, factors: Tensor) -> tuple[Tensor | None, ...]:
     """The arguments of an image of a list: without windows the upper left part of its layer."""
+    own = row(factors, b)
+    if not isinstance(layer, Tensor):
+        return layer[b], None, own
     if windows is None:
-        layer, windows = row(layer, b), torch.zeros(1, 3, dtype=torch.int64, device=layer.device)
-    else:
-        windows = windows[b : b + 1]
-    return layer, windows, row(factors, b)
+        return row(layer, b), torch.zeros(1, 3, dtype=torch.int64, device=layer.device), own
+    return layer, windows[b : b + 1], own
 
 
 def _gradients_reference(images_and_grads: Sequence[Tensor], chosen: Tensor | None, *args: Any) -> list[Tensor]:
-    each = []
-    for b, (x, g) in enumerate(zip(*halves(images_and_grads))):
+    images, grads = halves(images_and_grads)
+    each, of_each = [], _by_image(images, *args)
+    for b, (x, g) in enumerate(zip(images, grads)):
         of_image: Any = add_layer.differentiate_reference(
-            (True, False, False, False), g[None], x[None], *_of_sample(b, *args)
+            (True, False, False, False), g[None], x[None], *_of_sample(b, *of_each)
         )[0]
         each.append(of_image[0] if chosen is None else torch.where(row(chosen, b) != 0, of_image[0], g))
     return each
@@ -68,11 +82,15 @@ register_filter(
     add_layer,
     _of_sample,
     of_images=lambda grads, images, *args: _add_layer_list_backward([*images, *grads], *args),
+    by_image=_by_image,
 )
 
 
 def layered(layer: Tensor, *factors: Tensor | float, windows: Tensor | None = None) -> Operation:
-    """Images behind a layer, by the factors a, b, c and d: numbers, or (B or 1, C or 1), of the type that is computed in."""
+    """Images behind a layer, by the factors a, b, c and d: numbers, or (B or 1, C or 1), of the type that is computed in.
+
+    Layers of a list may be packed (N,), as `remap_list.packed` does, each of the size of its image.
+    """
     if not any(isinstance(f, Tensor) for f in factors):
         return Operation(add_layer, (layer, windows, constant(((factors,),), layer)))
     each = [f.to(layer) if isinstance(f, Tensor) else constant(((f,),), layer) for f in factors]

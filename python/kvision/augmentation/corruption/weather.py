@@ -329,7 +329,10 @@ def spattered(
 def _layers(
     noise: Noise, smoothing: Operation, parameters: Tensor, softening: Operation | None
 ) -> tuple[Tensor, Tensor | None]:
-    """The layers (B, 1, H, W) of stains, or without `softening` of drops, whose largest values (B,) follow them."""
+    """The layers (B, 1, H, W) of stains, or without `softening` of drops, whose largest values (B,) follow them.
+
+    Those of lists may be packed (N,), as :func:`layered` takes them.
+    """
     if (
         isinstance(noise, NoiseOfList)
         and (fused := spatter_layers(noise, smoothing, parameters, softening)) is not None

@@ -8,7 +8,6 @@ from torch import Tensor
 from kvision._constants import constant
 from kvision._ops import FastPath
 from kvision.augmentation.lists.sides import rows_on_device
-from kvision.augmentation.maps import IDENTITY
 from kvision.augmentation.random_generator.mapped import NoiseOfList
 from kvision.geometry.transform.lists.arguments import sizes
 from kvision.geometry.transform.lists.kept_sizes import Operation
@@ -20,8 +19,8 @@ _blurred_maps = FastPath("blurred_maps", (torch.float32,))
 def spatter_layers(
     noise: NoiseOfList, smoothing: Operation, parameters: Tensor, softening: Operation | None
 ) -> tuple[Tensor, Tensor | None] | None:
-    """The layers (B, 1, H, W) of stains, or without `softening` of drops, whose largest values (B,) follow them; None where
-    no kernel serves them.
+    """The packed layers (N,) of stains, or without `softening` of drops, whose largest values (B,) follow them; None where no
+    kernel serves them.
     """
     then = smoothing if softening is None else softening
     wants_gradients = any(
@@ -29,11 +28,11 @@ def spatter_layers(
     )
     if wants_gradients or not _spatter_layers.serves(parameters):
         return None
-    standard, identity = constant(((0.0, 1.0),), parameters), constant(IDENTITY, parameters)
+    standard = constant(((0.0, 1.0),), parameters)
     (keys, seeds, chosen, plan), sides = noise.source.arguments(), sizes(noise.images)
     *blur, _ = smoothing.arguments
     *soft, _ = then.arguments
-    drawn = (identity, standard, keys, seeds, chosen, list(plan), sides)
+    drawn = (standard, keys, seeds, chosen, list(plan), sides)
     layers, most = _spatter_layers.kernel(*drawn, *blur, parameters, softening is None, *soft)
     return layers, most if softening is None else None
 

@@ -204,6 +204,7 @@ def register_filter(
     transposed: Operator | None = None,
     supports: Callable[..., str | None] = lambda *args: None,
     of_images: Callable[..., Sequence[Tensor]] | None = None,
+    by_image: Callable[..., Arguments] = lambda images, *args: args,
 ) -> None:
     """The operator on lists of a filter.
 
@@ -220,11 +221,13 @@ def register_filter(
         supports: why the kernel does not serve a list and these arguments, or None.
         of_images: the gradients of all images at once, for those of the results, the images, which are chosen and the arguments,
             where no others are wanted.
+        by_image: the arguments as `of_sample` takes them, for the images and those of the operator.
     """
 
     of_batch = backward or _of_reference(of)
 
     def reference(images: Sequence[Tensor], chosen: Tensor | None, *args: Any) -> list[Tensor]:
+        args = by_image(images, *args)
         each = [_first(of.reference(x[None], *of_sample(b, *args)))[0] for b, x in enumerate(images)]
         if chosen is None:
             return each
@@ -242,9 +245,9 @@ def register_filter(
             own_images, needs = of_images(grads, images, chosen, *args), (False, *needs[1:])
         if not any(needs):
             return [own_images, None, *(None,) * (len(needs) - 1)]
-        each = []
+        each, of_each = [], by_image(images, *args)
         for b, (g, x) in enumerate(zip(grads, images)):
-            own, *others = of_batch(needs, g[None], x[None], *of_sample(b, *args))
+            own, *others = of_batch(needs, g[None], x[None], *of_sample(b, *of_each))
             if chosen is not None:
                 is_own = row(chosen, b) != 0
                 own = None if own is None else torch.where(is_own, own, g[None])

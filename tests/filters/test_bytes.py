@@ -98,7 +98,7 @@ def test_which_calls_compute_with_bytes(name, device):
 def test_which_images_take_the_kernel_of_bytes_of_box(device):
     if device.type != "cuda":
         pytest.skip("needs --device cuda")
-    for size, width, taken in ((3, 23, False), (3, 24, True), (5, 24, True), (5, 33, True), (7, 48, False)):
+    for size, width, taken in ((3, 31, False), (3, 32, True), (5, 31, False), (5, 32, True), (7, 48, False)):
         x = torch.ones(1, 3, 12, width, dtype=torch.uint8, device=device)
         call = partial(filters.box_blur, kernel_size=size)
         assert ("box_groups" in kernels_of(call, x)) == taken, (size, width)
@@ -153,7 +153,7 @@ def test_gradients_of_bytes_are_one_kernel(device):
 def test_bytes_that_begin_anywhere(name, device):
     call = OTHERS[name] if name in OTHERS else (GROUPS.get(name) or POINTWISE[name])[0]
     of_levels = name in POINTWISE or name in ("hue", "sharpness") or name.startswith("gauss")
-    for height, width in ((37, 513), (12, 33), (26, 264), (40, 19), (9, 500)):
+    for height, width in ((37, 513), (12, 33), (26, 264), (40, 19), (9, 500), (6, 1030)):
         count = 6 * height * width
         memory = torch.randint(0, 256, (count + 3,), generator=torch.Generator().manual_seed(width)).to(torch.uint8)
         for first in range(4):  # at the beginning of the memory, and at its end

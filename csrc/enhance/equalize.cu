@@ -442,6 +442,7 @@ int64_t max_pixels_of_memory() { return min(kMaxPixels, max_shared_bytes() - kCo
 template <int P, class T>
 int equalize_planes(Equalize<T> const& p, CUstream_st* stream) {
   int64_t const planes = p.x.count();
+  // Special case, H200: 1.3 to 1.4 times as fast as levels in shared memory, bytes.
   if constexpr (sizeof(T) == 1 && P > 1) {
     Division const division(planes, p.x.width, supports_clusters(equalize_bytes), kMaxBytes);
     if (division.by_clusters)

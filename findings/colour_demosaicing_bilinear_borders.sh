@@ -26,8 +26,15 @@ for pattern in ("RGGB", "BGGR", "GRBG", "GBRG"):
         "OpenCV": cv2.cvtColor(np.round(flat * 65535).astype(np.uint16), getattr(cv2, f"COLOR_Bayer{pattern}2RGB")) / 65535,
         "padded first": demosaicing.demosaicing_CFA_Bayer_bilinear(np.pad(flat, 2, mode="reflect"), pattern)[2:-2, 2:-2],
     }
-    print(f"{pattern}: corners {seen[0, 0].tolist()} and {seen[-1, -1].tolist()}, first row {seen[0, 4].tolist()}, last row {seen[-1, 4].tolist()}")
-    print("   off .5 by", {name: float(abs(image - 0.5).max().round(5)) for name, image in others.items()}, "inside", abs(seen[1:-1, 1:-1] - 0.5).max())
+    print(
+        f"{pattern}: corners {seen[0, 0].tolist()} and {seen[-1, -1].tolist()}, first row {seen[0, 4].tolist()}, last row {seen[-1, 4].tolist()}"
+    )
+    print(
+        "   off .5 by",
+        {name: float(abs(image - 0.5).max().round(5)) for name, image in others.items()},
+        "inside",
+        abs(seen[1:-1, 1:-1] - 0.5).max(),
+    )
     assert all(abs(image - 0.5).max() < 1e-4 for image in others.values()) and np.allclose(seen[1:-1, 1:-1], 0.5)
     assert seen.max() > 0.7 and seen.min() < 0.3
 assert np.allclose(demosaicing.demosaicing_CFA_Bayer_bilinear(flat, "RGGB")[[0, -1], [0, -1]], [[1.125, 0.25, 0.125], [0.125, 0.25, 1.125]])

@@ -38,14 +38,19 @@ def wrong(name, mode, chunk):
 for name in filters:
     others = max(wrong(name, mode, 16).max() for mode in ("reflect", "mirror", "nearest", "constant"))
     off = {chunk: wrong(name, "wrap", chunk) for chunk in (64, 32, 16)}
-    print(f"{name}: other modes {others:.0e}; wrap, by chunk:", {chunk: f"{d.max():.3f} at {(d > 1e-9).mean():.0%}" for chunk, d in off.items()})
+    print(
+        f"{name}: other modes {others:.0e}; wrap, by chunk:",
+        {chunk: f"{d.max():.3f} at {(d > 1e-9).mean():.0%}" for chunk, d in off.items()},
+    )
     assert others < 1e-12 and off[64].max() < 1e-12 < 0.05 < min(off[32].max(), off[16].max())
 off = wrong("gaussian_filter", "wrap", 16)
 jump = {chunk: 0.0 for chunk in (64, 16)}
 for chunk in jump:
     blurred = ndfilters.gaussian_filter(da.from_array(image, chunks=(chunk, chunk)), sigma=2, mode="wrap").compute()
     jump[chunk] = abs(blurred[:, 0] - blurred[:, -1]).max()
-print(f"off by {off[8:-8, 8:-8].max()} further inside; step from the last column to the first: {jump[64]:.3f} of one chunk, {jump[16]:.3f} of chunks of 16")
+print(
+    f"off by {off[8:-8, 8:-8].max()} further inside; step from the last column to the first: {jump[64]:.3f} of one chunk, {jump[16]:.3f} of chunks of 16"
+)
 assert off[8:-8, 8:-8].max() < 1e-12 and jump[16] > 3 * jump[64]
 
 source = da.from_array(image, chunks=(16, 16))

@@ -50,7 +50,9 @@ for name, start, step in (("one per 100 us", 0, 100), ("one per 5 ms", 0, 5000),
         assert all(np.array_equal(back[encoding][field], events[field]) for field in "xyp")
     times, highs = by_definition(f"{sys.argv[1]}/evt3.raw")
     spans = {encoding: (int(read["t"][0]), int(read["t"][-1])) for encoding, read in back.items()}
-    print(f"{name}: written {events['t'][0]} to {events['t'][-1]}, read {spans}, by the definition {times.min()} to {times.max()}, {highs} time high")
+    print(
+        f"{name}: written {events['t'][0]} to {events['t'][-1]}, read {spans}, by the definition {times.min()} to {times.max()}, {highs} time high"
+    )
     assert highs == 1 and times.max() - times.min() < 4096
     assert np.array_equal(back["dat"]["t"], events["t"]) and np.array_equal(back["evt2"]["t"], events["t"])
     survives = np.array_equal(back["evt3"]["t"], events["t"])

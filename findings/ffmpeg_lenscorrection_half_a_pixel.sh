@@ -3,7 +3,8 @@
 # Believed: with k1=0 and k2=0 there is nothing to correct and the picture stays, and bilinear reads at the same places as nearest, the default, only
 # smoother. Seen: bilinear without distortion makes each pixel the mean of itself and the ones to its right and below, in gray, in 16 bits and in
 # color: a spot moves by (-.5, -.5), and stays with nearest. With k1=-.1 it moves by as much, and the correction of a turned picture, by
-# 180 degrees, is not the turned correction, 18 levels off. Boxes found in such videos lie half a pixel off those of cv2.undistort.
+# 180 degrees, is not the turned correction, 18 levels off. Boxes
+# found in such videos need .5 added.
 set -euo pipefail
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT

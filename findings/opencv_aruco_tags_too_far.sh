@@ -45,7 +45,9 @@ for _ in range(12):
         results.setdefault(refinement, []).append((inward, distance / place[2] - 1))
 exact = [cv2.solvePnP(square, corners, camera, None)[2][2, 0] / place[2] - 1]
 for refinement, ((inward, too_far), spread) in {k: (np.mean(v, 0), np.array(v)[:, 1]) for k, v in results.items()}.items():
-    print(f"CORNER_REFINE_{refinement}: corners {inward:.2f} pixels inside, tags {too_far:.2%} too far (from {spread.min():.2%} to {spread.max():.2%})")
+    print(
+        f"CORNER_REFINE_{refinement}: corners {inward:.2f} pixels inside, tags {too_far:.2%} too far (from {spread.min():.2%} to {spread.max():.2%})"
+    )
     low, high = {"NONE": (0.004, 0.0065), "CONTOUR": (0.007, 0.0095), "SUBPIX": (0.0005, 0.002)}[refinement]
     assert low < too_far < high and spread.min() > 0
 print(f"by the exact corners {exact[0]:.4%}")

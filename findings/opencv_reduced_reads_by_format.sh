@@ -3,7 +3,7 @@
 # Believed: the flag reads a smaller image of the same picture, faster where the format helps. Seen of 241 x 321 pixels, by 2, 4 and 8: JPEG gives
 # averages of blocks, with the size rounded up, 121 x 161, and everything where the factor says; PNG, WebP, TIFF and BMP give 120 x 160, squeezed, so
 # that a spot in the middle is .5 pixels off, and interpolate between a few pixels of each block, so that noise of a standard deviation of 74
-# keeps 48 of it at an eighth, where JPEG has 11. Boxes do not fit by the factor, and a data set of both formats is two data sets.
+# keeps 49 of it at an eighth, where JPEG has 11. Boxes do not fit by the factor, and a data set of both formats is two data sets.
 set -euo pipefail
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT
@@ -34,7 +34,9 @@ for ending in (".jpg", ".png", ".webp", ".tiff", ".bmp"):
     for factor in (2, 4, 8):
         small, rough = reduced(spot, ending, factor), reduced(noise, ending, factor)
         moved = place(small, factor) - (160, 120)
-        print(f"{ending} by {factor}: {small.shape}, moved by {moved.round(2).tolist()}, noise of {noise.std():.0f} keeps {rough.std():.0f}")
+        print(
+            f"{ending} by {factor}: {small.shape}, moved by {moved.round(2).tolist()}, noise of {noise.std():.0f} keeps {rough.std():.0f}"
+        )
         if ending == ".jpg":
             assert small.shape == (-(-241 // factor), -(-321 // factor)) and abs(moved).max() < 0.05
             assert rough.std() < 1.3 * noise.std() / factor

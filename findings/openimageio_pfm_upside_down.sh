@@ -35,7 +35,9 @@ rows = {
     "its PFM by ImageBuf(path)": oiio.ImageBuf(by_oiio + "pfm").get_pixels(oiio.FLOAT)[:, 0, 0],
     "its PFM by ImageBuf(path, 0, 0, ImageSpec())": oiio.ImageBuf(by_oiio + "pfm", 0, 0, oiio.ImageSpec()).get_pixels(oiio.FLOAT)[:, 0, 0],
     "its PFM by ImageInput.open(path)": oiio.ImageInput.open(by_oiio + "pfm").read_image(oiio.FLOAT)[:, 0, 0],
-    "its PFM by ImageInput.open(path, ImageSpec())": oiio.ImageInput.open(by_oiio + "pfm", oiio.ImageSpec()).read_image(oiio.FLOAT)[:, 0, 0],
+    "its PFM by ImageInput.open(path, ImageSpec())": oiio.ImageInput.open(by_oiio + "pfm", oiio.ImageSpec()).read_image(oiio.FLOAT)[
+        :, 0, 0
+    ],
     "OpenCV's PFM by ImageBuf(path)": oiio.ImageBuf(by_opencv).get_pixels(oiio.FLOAT)[:, 0, 0],
     "OpenCV's PFM by oiiotool": cv2.imread(converted, cv2.IMREAD_UNCHANGED)[:, 0],
     "its OpenEXR by ImageBuf(path)": oiio.ImageBuf(by_oiio + "exr").get_pixels(oiio.FLOAT)[:, 0, 0],

@@ -1,9 +1,9 @@
 #!/usr/bin/env bash
 # opencv-python-headless 5.0.0.93, OpenImageIO 3.2.2.0 and Pillow 13.0.0: one divides a PFM file by its scale, one multiplies, one ignores it.
-# Believed: the third line of the header says the byte order by its sign, and any reader gives the floats that follow. Seen: a file of -0.003922,
-# the scale in the headers of well-known stereo sets, whose floats are disparities in pixels, is right in Pillow alone: 100 becomes 25497 from OpenCV and
-# .3922 from OpenImageIO, a factor of 65000 between them. With a scale of 1 or -1 all three agree, and these are what each of them writes. In front
-# of real files take Pillow, or np.fromfile behind the three lines, upside down.
+# Believed: the third line of the header says the byte order by its sign, and any reader gives the floats that follow. Seen: where it is -0.003922, which
+# is 1/255, a float of 100 comes as 25497 from OpenCV, as .3922 from OpenImageIO and as 100 from Pillow, a factor of 65000 between the first two. With
+# a scale of 1 or -1 all three agree, and these are what each of them writes. Whether a disparity was meant to be scaled the file does not tell:
+# compare it with np.fromfile behind the three lines.
 set -euo pipefail
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT

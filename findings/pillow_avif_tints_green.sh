@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Pillow 13.0.0 (libavif 1.4.2): each saving as AVIF makes an image greener, ten times as far as -6, +5, -8 levels, at quality 100.
+# Pillow 13.0.0 (libavif 1.4.2): each saving as AVIF makes an image greener, ten of them by -6, +5 and -8 levels, at quality 100.
 # Believed: at quality 100 what is lost is noise around the image, as with JPEG, and chroma is rounded to the nearest level. Seen of a smooth image: chroma is
 # cut off, half a level too low in both planes, so that red, green and blue are -.6, +.5 and -.8 levels off on average, with chroma in full and in
 # half resolution and at the default quality. Each generation adds as much where chroma has half the resolution, a third of it on average where it is

@@ -47,8 +47,10 @@ assert abs(angles["OpenCV"] - 60) < 1 and abs(angles["Pillow"] + 60) < 1
 image = cv2.GaussianBlur(np.random.default_rng(0).integers(0, 256, (64, 64), dtype=np.uint8), (0, 0), 2)
 own = np.array(Image.fromarray(image).filter(ImageFilter.EMBOSS))[1:-1, 1:-1].astype(float)
 rows = np.array(numbers, np.float32).reshape(height, width)
-off = {name: abs(own - np.clip(cv2.filter2D(image, cv2.CV_32F, k) / scale + offset, 0, 255)[1:-1, 1:-1]).max()
-       for name, k in (("as written", rows), ("upside down", rows[::-1]))}
+off = {
+    name: abs(own - np.clip(cv2.filter2D(image, cv2.CV_32F, k) / scale + offset, 0, 255)[1:-1, 1:-1]).max()
+    for name, k in (("as written", rows), ("upside down", rows[::-1]))
+}
 print("EMBOSS", rows.tolist(), "off cv2.filter2D:", {name: round(float(value), 2) for name, value in off.items()})
 assert off["upside down"] <= 0.5 < 5 < off["as written"]
 PROGRAM

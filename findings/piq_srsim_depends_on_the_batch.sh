@@ -1,9 +1,9 @@
 #!/usr/bin/env bash
 # piq 0.8.0 with torch 2.14.1: SR-SIM of a pair of images depends on what else is in the batch, .91 alone and .94 beside another pair.
 # Believed: reduction="none" gives the score of each pair, which is that of the pair alone, so that batches only save time, as with eleven other metrics of
-# the package that were tried. Seen: in a batch of two the score rises by .03 to .04, more than methods differ by in a table, whatever the other pair
-# is but a copy of the first. So a mean over a data set depends on batch_size and on the order, the last batch is scored otherwise than the
-# rest, and as a loss its gradient is another function's. Call it with one pair at a time.
+# the package that were tried. Seen: in a batch of two the score rises by .03 to .04, whatever the other pair is but a copy of the first. So a mean
+# over a data set depends on batch_size and on the order, and the last, smaller batch is scored otherwise than the rest. Call it with one
+# pair at a time.
 set -euo pipefail
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT
@@ -30,8 +30,26 @@ def noisy(image):
 
 first, second = picture(9), picture(5)
 pair = first, noisy(first)
-beside = {"itself": pair, "another pair": (second, noisy(second)), "two equal images": (second, second), "noise": (torch.rand_like(first),) * 2}
-metrics = ("srsim", "ssim", "multi_scale_ssim", "fsim", "vsi", "gmsd", "multi_scale_gmsd", "mdsi", "dss", "haarpsi", "vif_p", "information_weighted_ssim")
+beside = {
+    "itself": pair,
+    "another pair": (second, noisy(second)),
+    "two equal images": (second, second),
+    "noise": (torch.rand_like(first),) * 2,
+}
+metrics = (
+    "srsim",
+    "ssim",
+    "multi_scale_ssim",
+    "fsim",
+    "vsi",
+    "gmsd",
+    "multi_scale_gmsd",
+    "mdsi",
+    "dss",
+    "haarpsi",
+    "vif_p",
+    "information_weighted_ssim",
+)
 for name in metrics:
     metric = getattr(piq, name)
     alone = metric(*pair, data_range=1.0, reduction="none").item()

@@ -52,6 +52,9 @@ for height in (64, 128, 256):
             "e2c and back": moved(py360convert.c2e(faces, height, 2 * height, mode=mode, cube_format="dict"), truth),
             "exact faces": moved(py360convert.c2e(exact, height, 2 * height, mode=mode, cube_format="dict"), truth),
         }
-        print(f"{2 * height} columns, {mode}: e2c is {read:.3f} degrees off; c2e moves by", {k: v.round(2).tolist() for k, v in shifts.items()})
+        print(
+            f"{2 * height} columns, {mode}: e2c is {read:.3f} degrees off; c2e moves by",
+            {k: v.round(2).tolist() for k, v in shifts.items()},
+        )
         assert np.allclose(list(shifts.values()), -0.5, atol=0.06) and (mode == "nearest" or read < 0.01)
 PROGRAM

@@ -52,7 +52,11 @@ for pattern in ("RGGB", "BGGR", "GRBG", "GBRG"):
     off = abs(rgb[:-1, :-1].astype(int) - scene[:-1, :-1]).max()
     shifts["pylon's Mono8"] = [moved(gray, gray[3:10, 3:10].mean())]
     black = not (rgb[-1].any() or rgb[:, -1].any() or gray[-1].any() or gray[:, -1].any())
-    print(f"{pattern}: moved by", {name: np.round(shift, 2).tolist() for name, shift in shifts.items()}, f"{off} levels off, border black: {black}")
+    print(
+        f"{pattern}: moved by",
+        {name: np.round(shift, 2).tolist() for name, shift in shifts.items()},
+        f"{off} levels off, border black: {black}",
+    )
     assert np.allclose(shifts["pylon"], -0.5, atol=0.03) and abs(np.array(shifts["OpenCV"])).max() < 0.03 and black and off >= 14
     assert np.allclose(shifts["pylon's Mono8"], -0.5, atol=0.15)
 PROGRAM

@@ -3,7 +3,7 @@
 # Believed: a pixel that is deprojected and projected again is the pixel, as it is for the models Brown-Conrady, its inverse and Kannala-Brandt. Seen:
 # FTHETA projects by atan(2 r tan(w / 2)) / w, whose inverse is tan(w d) / (2 tan(w / 2)), and deprojects with atan(2 tan(w / 2)) in place of the
 # divisor: every point comes out too far from the axis by the same factor, 1.03 at w = .3, 1.26 at .9 and 1.46 at 1.2, in the very center of the
-# image, too, so that a point cloud is too wide by a quarter and a pixel of the corner returns 50 pixels off. Multiply x and y by the inverse factor.
+# image, too: at .9 a point cloud is too wide by a quarter, and a pixel near the corner returns 50 pixels off. Divide x and y by the factor.
 set -euo pipefail
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT
@@ -37,7 +37,9 @@ for w, factor in ((0.3, 1.0297), (0.9, 1.2577), (1.2, 1.4561)):
         pixel = rs.rs2_project_point_to_pixel(fisheye, [x, 0, 1])
         exact = 320 + 400 * math.atan(2 * x * math.tan(w / 2)) / w
         back = rs.rs2_deproject_pixel_to_point(fisheye, pixel, 1.0)[0]
-        print(f"w = {w}: x = {x} is seen at {pixel[0]:.2f} (by the formula {exact:.2f}) and comes back as {back:.4f}, {back / x:.4f} times it")
+        print(
+            f"w = {w}: x = {x} is seen at {pixel[0]:.2f} (by the formula {exact:.2f}) and comes back as {back:.4f}, {back / x:.4f} times it"
+        )
         assert abs(pixel[0] - exact) < 0.01 and abs(back / x - factor) < 2e-3
         assert abs(2 * math.tan(w / 2) / math.atan(2 * math.tan(w / 2)) - factor) < 1e-4
 models = {

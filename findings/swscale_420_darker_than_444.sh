@@ -62,7 +62,9 @@ for limited in (True, False):
             if interpolation == "BICUBIC":
                 default = frame(kind, limited).to_ndarray(format="rgb24") - truth
                 assert np.array_equal(default, off)
-                print(f"{kind}, {'limited' if limited else 'full'} range: {mean.round(2).tolist()} levels off, at most {abs(off).max():.1f}")
+                print(
+                    f"{kind}, {'limited' if limited else 'full'} range: {mean.round(2).tolist()} levels off, at most {abs(off).max():.1f}"
+                )
             if kind == "yuv444p":
                 assert abs(off).max() < 0.6 and abs(mean).max() < 0.05
             else:

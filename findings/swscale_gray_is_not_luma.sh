@@ -30,7 +30,9 @@ for name, (space, kr, kb) in standards.items():
         kept = int(frame.reformat(format="gray", src_colorspace=5).to_ndarray()[8, 8])
         of_rgb = float(np.dot(rgb, (0.299, 0.587, 0.114)) * 255)
         off[color] = seen - stretched
-        print(f"{name} {color}: luma {stretched:.1f}, gray {seen}, by BT.601 of its RGB {of_rgb:.1f}, to its own {to_own}, as if of BT.601 {kept}")
+        print(
+            f"{name} {color}: luma {stretched:.1f}, gray {seen}, by BT.601 of its RGB {of_rgb:.1f}, to its own {to_own}, as if of BT.601 {kept}"
+        )
         assert abs(seen - of_rgb) < 1.5 and to_own == seen and abs(kept - stretched) < 1
     assert (max(map(abs, off.values())) > 10) == (name != "BT.601")
 PROGRAM

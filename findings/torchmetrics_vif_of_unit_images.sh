@@ -50,6 +50,8 @@ for sigma in (0.05, 0.2):
     other = (image + sigma * noise).clamp(0, 1)
     scores = {top: vif(other * top, image * top).item() for top in (1, 255, 65535)}
     exact = by_definition(255.0 * image[0, 0].double().numpy(), 255.0 * other[0, 0].double().numpy())
-    print(f"noise of {sigma}: as 0..1 {scores[1]:.3f}, as 0..255 {scores[255]:.3f}, as 0..65535 {scores[65535]:.3f}; by the definition for bytes {exact:.3f}")
+    print(
+        f"noise of {sigma}: as 0..1 {scores[1]:.3f}, as 0..255 {scores[255]:.3f}, as 0..65535 {scores[65535]:.3f}; by the definition for bytes {exact:.3f}"
+    )
     assert abs(scores[255] - exact) < 0.005 and scores[1] > 0.95 and scores[65535] < 0.5 * exact < 0.2
 PROGRAM

@@ -29,6 +29,7 @@ placed = surface.copy().apply_transform(grid.transform)
 print("points", grid.points.min(0).round(2).tolist(), grid.points.max(0).round(2).tolist(), "volume", round(grid.volume, 2))
 for name, mesh in (("as_boxes()", grid.as_boxes()), ("marching_cubes", surface), ("the same with grid.transform", placed)):
     print(name, mesh.bounds.round(2).tolist(), "volume", round(mesh.volume, 2))
-assert np.allclose(grid.as_boxes().bounds, [[8.95, 18.95, 28.95], [11.05, 21.05, 31.05]]) and np.allclose(placed.bounds, grid.as_boxes().bounds)
+assert np.allclose(grid.as_boxes().bounds, [[8.95, 18.95, 28.95], [11.05, 21.05, 31.05]])
+assert np.allclose(placed.bounds, grid.as_boxes().bounds)
 assert np.allclose(surface.bounds, [[-0.5] * 3, [20.5] * 3]) and np.isclose(surface.volume, 1000 * placed.volume)
 PROGRAM

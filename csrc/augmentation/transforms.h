@@ -64,9 +64,15 @@ KV_HD void set_value_where(M mask, V& a, double x) {
     a = select(mask, constant<V>(x), a);
 }
 
-// Inputs: four source points, four destination points. Exactly the identity where they are the same.
+// Inputs: four source points, four destination points. Exactly the identity where they are the same, and where a side
+// of the source is a single pixel: no matrix takes points that lie on one another apart.
 template <class V>
-KV_HD void perspective_matrix(V const* x, V* m) {
+KV_HD void perspective_matrix(V const* points, V* m) {
+  auto const no_side =
+      ((points[0] == points[2]) & (points[1] == points[3])) | ((points[2] == points[4]) & (points[3] == points[5]));
+  constexpr int square[] = {0, 0, 1, 0, 1, 1, 0, 1};
+  V x[kPerspectiveInputs];
+  for (int i = 0; i < kPerspectiveInputs; ++i) x[i] = select(no_side, constant<V>(square[i % 8]), points[i]);
   geometry::PerspectiveMatrix::evaluate(x, m, geometry::FormulaOptions{});
   auto same = x[0] == x[8];
   for (int i = 1; i < 8; ++i) same = same & (x[i] == x[8 + i]);

@@ -118,6 +118,14 @@ def test_perspective_takes_points_to_points(device):
     assert_close(result, K.geometry.get_perspective_transform(source, destination))
 
 
+@pytest.mark.parametrize("side", [[0, 0, 8, 0, 8, 0, 0, 0], [0, 0, 0, 0, 0, 8, 0, 8], [0.0] * 8])
+def test_perspective_moves_nothing_where_a_side_is_a_single_pixel(side, device):
+    columns = torch.cat([torch.tensor(side), torch.rand(8)])[None].to(device).requires_grad_()
+    result = transform_matrix(columns, [MOVING])
+    assert torch.equal(result[0], torch.eye(3, device=device))
+    assert not torch.autograd.grad(result.sum(), columns)[0].any()
+
+
 def test_crops_take_corners_to_corners(device):
     box = [[2.0, 3.0, 6.0, 4.0]]
     centers = matrices(box, CROP_OF_CENTERS, device=device)

@@ -65,7 +65,7 @@ class GeometricAugmentation(AugmentationBase, keeps_contract=True):
     def inverse_points(self, points: Tensor, execution: Execution) -> Tensor:
         if not execution.applied:
             return points
-        return transform_points(torch.linalg.inv(self._matrix(execution)).to(points), points)
+        return transform_points(torch.linalg.inv_ex(self._matrix(execution)).inverse.to(points), points)
 
     def inverse_images(self, x: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
         if not execution.applied:

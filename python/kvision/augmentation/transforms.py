@@ -29,7 +29,8 @@ class Transform:
         *inputs: numbers, or names of fields of the generator, each of which stands for all columns of its field:
 
             - 'affine': angle in degrees, counter-clockwise; translation x, y; scale x, y; shear x, y in degrees; center x, y
-            - 'perspective': four points x, y of the image, and where they go
+            - 'perspective': four points x, y of the image, and where they go; nothing moves where one of its sides has no
+              length, as that of a single pixel
             - 'crop': first column, first row, width and height of a window; columns and rows of the result; 1 if the centers
               of the outermost pixels correspond, 0 if their edges do
             - 'matrix': nine entries by rows
@@ -144,6 +145,10 @@ def _affine(inputs: list[Tensor]) -> Tensor:
 
 def _perspective(inputs: list[Tensor]) -> Tensor:
     source, destination = (torch.stack(inputs[i : i + 8], -1).reshape(-1, 4, 2) for i in (0, 8))
+    # No matrix takes points that lie on one another apart: where a side is a single pixel it is the identity.
+    no_side = (source[:, :2] == source[:, 1:3]).all(-1).any(-1)[:, None, None]
+    square = source.new_tensor([[0, 0], [1, 0], [1, 1], [0, 1]])
+    source, destination = (torch.where(no_side, square, points) for points in (source, destination))
     from_square = from_unit_square(source)
     a, b, c, d, e, f, g, h, i = from_square.flatten(1).unbind(1)
     adjugate = matrix_of(

@@ -189,7 +189,7 @@ class ByMatrix(Stage):
         return transform_points(self.matrix.to(points), points)
 
     def move_points_back(self, points: Tensor) -> Tensor:
-        return transform_points(torch.linalg.inv(self.matrix).to(points), points)
+        return transform_points(torch.linalg.inv_ex(self.matrix).inverse.to(points), points)
 
     def product(self, matrix: Tensor) -> Tensor:
         return self.matrix @ matrix.to(self.matrix)

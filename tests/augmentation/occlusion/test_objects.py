@@ -112,6 +112,30 @@ def test_objects_of_the_images_of_a_list(kind, number, dtype, device):
         assert all(map(torch.equal, drop(equal, masks=equal_masks, seed=3), batch))
 
 
+def test_images_with_one_mask_have_its_regions_as_objects_beside_images_with_several(device):
+    """Whether they are alone, in a batch of lists of instances, or in a list, also after the pixels have moved."""
+    one, several = torch.zeros(2, 6, 20, dtype=torch.uint8, device=device).split(1)
+    one[0, 1:3, 1:5] = one[0, 4:, 12:15] = 1
+    several = (torch.rand(3, 6, 20, device=device) < 0.3).byte()
+    masks, images = [several, one, one, several[:0]], torch.rand(4, 3, 6, 20, device=device)
+    other = [torch.rand(3, 8, 9, device=device)], [one[:, :, :9].repeat(1, 2, 1)[:, :8]]
+    drop = A.MaskDropout((1, 1), p=1.0)
+    for children in ((drop,), (A.RandomHorizontalFlip(p=1.0), drop), (A.ImageSequential(drop),)):
+        chain = A.AugmentationSequential(*children, data_keys=["input", "mask"])
+        seeds = torch.arange(5)
+        of_batch, of_list = (
+            chain(images, masks, seed=seeds[:4]),
+            chain([*images, *other[0]], masks + other[1], seed=seeds),
+        )
+        for b, mask in enumerate(masks):
+            alone = chain(images[b : b + 1], [mask], seed=seeds[b : b + 1])
+            for together in (of_batch, of_list):
+                assert torch.equal(together[0][b], alone[0][0]) and torch.equal(together[1][b], alone[1][0])
+        assert sum(not a.any() for a in of_batch[0][1].flatten(1).T) in (6, 8)
+    direct = drop(images, masks=masks, seed=seeds[:4])
+    assert torch.equal(direct[1], drop(images[1:2], masks=one[None], seed=seeds[1:2])[0])
+
+
 def test_masks_that_do_not_fit_a_list():
     images = pictures("cpu", ((40, 56), (64, 31)))
     drop, own = A.MaskDropout(p=1.0), [torch.ones(1, *x.shape[1:]) for x in images]

@@ -76,8 +76,13 @@ class CallLabels(NamedTuple):
         return boxes.reshape(shape[0] // frames, frames * boxes.shape[1], 4) if frames > 1 else boxes
 
     def first_masks(self) -> Any:
-        """Those of the first input: in the form in which they were given, or (b, C, H, W) of some samples; None without any."""
-        masks = self.masks_of_samples() if self._is_of_some else self.masks()
+        """Those of the first input: in the form in which they were given, or those of some samples; None without any."""
+        if self.is_list and not self._chain():
+            masks = self.masks_of_samples()
+        else:
+            masks = self.masks()
+            if self._is_of_some:
+                masks = [self._selected(x if isinstance(x, (list, tuple)) else labels.masks_as_batch(x)) for x in masks]
         return masks[0] if masks else None
 
     @property

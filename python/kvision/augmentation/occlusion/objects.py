@@ -143,20 +143,28 @@ class MaskDropout(DropoutBase, keeps_contract=True):
         self, x: Tensor, masks: Any, params: Params | None, seed: Seed, generator: Generator | None
     ) -> tuple[Tensor, Execution]:
         if params is None:
-            labels = None if masks is None else [masks_as_batch(masks, tuple(x.shape))]
-            return self._draw_and_run(x, seed, generator, self.flags, labels)
+            return self._draw_and_run(x, seed, generator, self.flags, masks)
         execution = self.__dict__["_execution"] = self._from_params(params, x)
         return self._run(x, execution, self.flags), execution
 
-    def _dropped(self, execution: Execution, labels: Sequence[Tensor] | None, x: Tensor) -> Tensor:
-        """The pixels (B, 1, H, W) of the objects that are dropped."""
-        _warn_without(labels)
-        if labels is None or execution.columns is None or 0 in labels[0].shape:
+    def _labels_of_call(self, kwargs: dict[str, Any], x: Tensor) -> Any:
+        return kwargs.pop("masks", None)  # as they are: how many an image has says what an object is
+
+    def _dropped(self, execution: Execution, masks: Any, x: Tensor) -> Tensor:
+        """The pixels (B, 1, H, W) of the objects that are dropped, by masks in any form."""
+        _warn_without(masks)
+        batch = None if masks is None or execution.columns is None else masks_as_batch(masks, tuple(x.shape))
+        if batch is None or 0 in batch.shape:
             return torch.zeros((len(x), 1, *x.shape[-2:]), dtype=torch.bool, device=x.device)
-        masks, components = _as_integers(labels[0].to(x.device)), None
-        if masks.shape[1] == 1:
-            components = connected_components((masks != 0).view(torch.uint8))
-        return self._dropped_of(masks, components, execution)
+        batch = _as_integers(batch.to(x.device))
+        counts = [len(m) for m in masks] if batch.shape[1] > 1 and isinstance(masks, (list, tuple)) else []
+        if 1 not in counts:
+            return self._dropped_of(batch, _regions(batch), execution)
+        # Images with a mask of one channel are among others with more.
+        first, has_one = batch[:, :1].contiguous(), torch.tensor([n == 1 for n in counts], device="cpu")
+        has_one = rows_on_device(has_one[:, None], batch, torch.bool)[:, :, None, None]
+        of_regions = self._dropped_of(first, _regions(first), execution)
+        return torch.where(has_one, of_regions, self._dropped_of(batch, None, execution))
 
     def _dropped_of(
         self, masks: Tensor, components: Tensor | None, execution: Execution, widths: Tensor | None = None
@@ -192,8 +200,7 @@ class MaskDropout(DropoutBase, keeps_contract=True):
         dropped = torch.zeros(len(images), 1, height, width, dtype=torch.bool, device=images[0].device)
         if masks is not None and execution.columns is not None and 0 not in masks[0].shape:
             padded, widths = _padded(masks, height, width, images[0].device)
-            components = connected_components((padded != 0).view(torch.uint8)) if padded.shape[1] == 1 else None
-            dropped = self._dropped_of(padded, components, execution, widths)
+            dropped = self._dropped_of(padded, _regions(padded), execution, widths)
             if execution.chosen is not None:
                 dropped = dropped & execution.chosen[:, None, None, None]
         execution.found = self._found(dropped)
@@ -231,6 +238,11 @@ def _warn_without(masks: Any) -> None:
             "AugmentationSequential the data key 'mask'",
             stacklevel=3,
         )
+
+
+def _regions(masks: Tensor) -> Tensor | None:
+    """The numbers (B, 1, H, W) of the regions of masks (B, N, H, W) of one channel; None for those of several."""
+    return connected_components((masks != 0).view(torch.uint8)) if masks.shape[1] == 1 else None
 
 
 def _as_integers(masks: Tensor) -> Tensor:

@@ -201,13 +201,15 @@ Tiles tiles_of(VisionPatches<T> const& p, PatchImage const* images, int count) {
     Tiles t = tiles;
     t.across = across, t.down = down;
     int const columns = t.columns(size), rows = down * size;
-    auto const round_up = [](int64_t n) { return int((n + 15) / 16 * 16); };
+    auto const round_up = [](int64_t n) { return (n + 15) / 16 * 16; };
     t.rows = int(rows * shrink) + t.taps_y + 2;
     t.stride = (p.channels * columns + 15) / 16 * 16;
-    t.weights_x = round_up(int64_t(across) * down * p.patch_elements() * sizeof(U));
-    t.weights_y = t.weights_x + round_up(4 * int64_t(columns) * (t.taps_x + 1));
-    t.lines = t.weights_y + round_up(4 * int64_t(rows) * (t.taps_y + 1));
-    t.bytes = t.lines + round_up((int64_t(t.rows) * t.stride + 16) * (sizeof(T) == 1 ? 1 : 4));
+    int64_t const weights_x = round_up(int64_t(across) * down * p.patch_elements() * sizeof(U));
+    int64_t const weights_y = weights_x + round_up(4 * int64_t(columns) * (t.taps_x + 1));
+    int64_t const lines = weights_y + round_up(4 * int64_t(rows) * (t.taps_y + 1));
+    int64_t const bytes = lines + round_up((int64_t(t.rows) * t.stride + 16) * (sizeof(T) == 1 ? 1 : 4));
+    t.weights_x = int(weights_x), t.weights_y = int(weights_y), t.lines = int(lines);
+    t.bytes = int(min(bytes, int64_t(INT32_MAX)));  // more than fits, as then the others may be
     return t;
   };
   int across = max(kColumns / size, 1), down = 2;

@@ -203,6 +203,7 @@ int resize_near_half(Resize<T> const& p, CUstream_st* stream) {
   };
   bool const planar = p.x.step == 1 && p.y.step == 1 && !p.minuend;
   if (!planar || !serves(p.rows) || !serves(p.columns)) return kUnsupported;
+  if (p.x.row_stride * int64_t(sizeof(T)) > INT32_MAX) return kUnsupported;
   constexpr int kBytes = P * int(sizeof(T));
   auto const launch = [&](auto filter) {
     auto const run = [&](auto bytes) {

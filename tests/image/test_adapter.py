@@ -67,6 +67,17 @@ def test_modes_become_rgb(mode: str) -> None:
     assert torch.equal(K.to_tensor(picture), torch.from_numpy(expected.copy()).movedim(-1, 0))
 
 
+def test_lab_is_no_rgb() -> None:
+    picture = PIL.Image.frombytes("LAB", (7, 5), PHOTO.tobytes())
+    try:
+        expected = np.asarray(picture.convert("RGB"))
+    except ValueError:  # an earlier PIL, which has no conversion
+        with pytest.raises(ValueError, match="LAB"):
+            K.to_tensor(picture)
+    else:
+        assert torch.equal(K.to_tensor(picture), torch.from_numpy(expected.copy()).movedim(-1, 0))
+
+
 def test_palettes_keep_alpha() -> None:
     opaque = PIL.Image.fromarray(PHOTO)
     half = opaque.copy()

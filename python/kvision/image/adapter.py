@@ -18,15 +18,24 @@ from kvision.image.convert import view_array
 __all__ = ["to_numpy", "to_pil", "to_tensor"]
 
 # PIL's modes whose channels are neither brightness nor RGB, or are so times alpha, and what they are converted to.
-_MODES = {"CMYK": "RGB", "HSV": "RGB", "PA": "RGBA", "RGBX": "RGB", "RGBa": "RGBA", "La": "LA", "YCbCr": "RGB"}
+_MODES = {
+    "CMYK": "RGB",
+    "HSV": "RGB",
+    "LAB": "RGB",
+    "PA": "RGBA",
+    "RGBX": "RGB",
+    "RGBa": "RGBA",
+    "La": "LA",
+    "YCbCr": "RGB",
+}
 
 
 def to_tensor(images: Any, dtype: torch.dtype | None = None, *, bgr: bool = False) -> Tensor | list[Tensor]:
     """Images of NumPy, PIL, OpenCV or files as tensors with the channels first, in memory of their own.
 
     Values keep their type, or get `dtype` and are scaled from the range of the one to that of the other: integers reach up to the
-    largest number of their type, floating point is in [0, 1]. Palettes and the colors of print (CMYK), video (YCbCr) and HSV become
-    RGB. Files are read as :func:`kvision.io.load_image` reads them, upright; PIL images are not turned.
+    largest number of their type, floating point is in [0, 1]. Palettes and the colors of print (CMYK), video (YCbCr), HSV and LAB
+    become RGB. Files are read as :func:`kvision.io.load_image` reads them, upright; PIL images are not turned.
 
     Args:
         images: an array (H, W), (H, W, C) or (B, H, W, C), a PIL image, a path, or a list of those. Tensors are channels-first

@@ -147,12 +147,11 @@ struct BlockTiles {
   // Finds the bounding box of the taps of a tile, where `prepare` did not. The coordinates of maps are read one by one,
   // clamped to next to the image, and stored.
   template <int K, class T>
-  __device__ __forceinline__ void find_taps(int number, Sampling<T> const& p, int width, int height, void* kept,
-                                            int across = kAcross<T>) {
+  __device__ __forceinline__ void find_taps(int number, Sampling<T> const& p, int width, int height, void* kept) {
     if (!p.coords.has_map()) return;
     Tile<F> const& tile = tiles[number];
     F* const map_coords = static_cast<F*>(kept) + threadIdx.x;
-    int const x = tile.x + column_in_tile(across), first_y = tile.y + row_in_tile(across);
+    int const x = tile.x + column_in_tile<T>(), first_y = tile.y + row_in_tile<T>();
     MapColumn<F> const map(p.coords, tile.b, first_y, x);
     F low_u = F(INFINITY), low_v = low_u, high_u = -low_u, high_v = high_u;  // of the coordinates
 #pragma unroll
@@ -194,7 +193,9 @@ struct SourceTile {
   // The capacity suffices for a tile of kTile x kTile rotated by any angle. Double4 rows one below the other are in
   // different banks.
   static constexpr int kPitch = sizeof(T) == 1 ? 80 : sizeof(T) == 2 ? 72 : 56, kRows = 52;
-  static constexpr int kSize = (Aligned ? kPitch : kPitch + kVectorSize) * kRows;
+  // Whole vectors of it, for rows that are as far apart as those of any image.
+  static constexpr int kSize =
+      Aligned ? kPitch * kRows : ((kPitch + kVectorSize - 1) * kRows + kVectorSize - 1) & -kVectorSize;
   static constexpr int kChannels = sizeof(T) == 8 ? 1 : 3;  // at a time
   static constexpr int kColumns = sizeof(T) == 8   ? 32
                                   : sizeof(T) == 4 ? 16
@@ -406,7 +407,7 @@ __device__ __forceinline__ void for_each_channel_group(int channels, Take take) 
 
 // Whether rows begin at whole vectors, of images one pixel after the other.
 template <class T>
-bool rows_are_aligned(Images<T> const& x) {
+KV_HD bool rows_are_aligned(Images<T> const& x) {
   int64_t const vector = 16 / int64_t(sizeof(T));
   return reinterpret_cast<uintptr_t>(x.data) % 16 == 0 && x.step == 1 && x.row_stride % vector == 0 &&
          x.channel_stride % vector == 0 && x.batch_stride % vector == 0;

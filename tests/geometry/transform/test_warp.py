@@ -407,6 +407,36 @@ def test_one_map_serves_a_batch(device):
     assert torch.equal(one_map, of_each)
 
 
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float16])
+@pytest.mark.parametrize("mode", MODES)
+def test_results_by_maps_depend_on_no_alignment(mode, dtype, device):
+    """On CUDA maps of whole vectors are read by these."""
+    x = torch.rand(2, 3, 90, 70, device=device).to(dtype)
+    shape = (2, 67, 100)
+    maps = [
+        torch.rand(shape, device=device) * 8
+        - 4
+        + torch.arange(float(shape[i]), device=device).view(-1, *(1,) * (i == 1))
+        for i in (2, 1)
+    ]
+    result = G.remap(x, *maps, mode)
+    for first, last, step in ((1, 0, 1), (0, 1, 1), (0, 0, 2)):
+        others = [torch.full((2, 67, first + step * 100 + last), float("nan"), device=device) for _ in maps]
+        parts = [other[..., first : first + step * 100 : step] for other in others]
+        for part, map in zip(parts, maps):
+            part.copy_(map)
+        assert torch.equal(G.remap(x, *parts, mode), result)
+    assert torch.equal(G.remap(x, *(map[:, :, :99] for map in maps), mode), result[..., :99])
+
+
+def test_maps_of_very_wide_images(device):
+    """Coordinates from 2^20 on are no last bits of sums of floats."""
+    x = torch.rand(1, 1, 2, 1 << 21, device=device)
+    at = torch.tensor([3.0, 70000.0, (1 << 20) + 7.0, (1 << 21) - 2.0], device=device)
+    row = torch.tensor([0.0, 1.0, 1.0, 0.0], device=device)
+    assert torch.equal(G.remap(x, at[None, None], row[None, None])[0, 0, 0], x[0, 0, row.long(), at.long()])
+
+
 # --- more samples than images ---------------------------------------------------------------------------------------
 
 

@@ -15,7 +15,8 @@ __global__ void __launch_bounds__(kThreads, kBlocks<T, K>)
   __shared__ __align__(16) unsigned char memory[sizeof(Block)];
   Block const& block =
       Block::make(memory, p, tiles_per_block, [](Sample<T> const& s) -> Size { return {s.y.height, s.y.width}; });
-  sample_block<K, false, Aligned>(block.sample, block.tiles);
+  Sample<T> const& sample = block.sample;
+  remap_block<K, Aligned>(sample, block.tiles, has_whole_vectors(sample.coords, sample.y.width));
 }
 
 __global__ void __launch_bounds__(kThreads, kByteMapBlocks)

@@ -20,7 +20,7 @@ constexpr int kColumns = 128, kRows = 32;  // of a tile, at most and about; one 
 constexpr int kThreads = 2 * kColumns;     // at most: 32 for 16 columns
 constexpr int kMaxRows = 128;              // of a tile
 constexpr int kChunk = 32;                 // rows of the image that are resized at once, and of the result
-constexpr int kStrips = 12;                // of each multiprocessor, about
+constexpr int kStrips = 24;                // of each multiprocessor, about
 constexpr int64_t kShared = 110000;        // bytes of a block, at most
 
 // What all blocks of a launch share. Parts of shared memory begin at bytes.
@@ -275,67 +275,159 @@ __device__ __forceinline__ void write_y_weights(Axis const& axis, double scale, 
 
 // --- pixels ----------------------------------------------------------------------------------------------------------
 
-// How a warp reads its columns of the image, from `from` on. Aligned: by words, which all rows of all channels have at
-// the same columns. Otherwise by shifted words, or by bytes where those end after the memory or pixels are not
-// adjacent.
-template <int Steps, bool Aligned>
-struct Source {
-  int from, last;  // the column where the last load with a pixel begins
-  int last_row, step;
-  bool by_bytes, is_inner;
+// How the pixels of an image are loaded: words that all rows of all channels have at the same columns; words that rows
+// have at others, shifted; three channels next to each other, of which one is picked; or each byte alone.
+enum class Pixels { aligned, shifted, interleaved, apart };
 
-  __device__ __forceinline__ Source(PatchImage const& image, int first, int steps)
-      : from(first), last(image.width - 1), last_row(image.height - 1), step(int(image.step)) {
-    int const bytes = 16 * steps + 4;
-    by_bytes = image.step != 1 || image.row_stride < bytes, is_inner = from + bytes <= image.width;
-    if constexpr (Aligned) {
-      constexpr int kBytes = Steps == 2 ? 8 : 4;  // of a load
-      int const before = int((reinterpret_cast<uintptr_t>(image.data) + first) % kBytes);
-      from -= before;
-      last -= (before - first + last) & (kBytes - 1);
-    }
+// The columns of the image that a warp reads, from `from` on. Planes: the first two of these only, in fewer registers.
+// Words with a pixel of a row are safe to load as a whole. A lane's rows are 8 apart, so that its vectors of 8 bytes
+// are equally aligned in all of them.
+template <int Steps, bool Planes>
+struct Source {
+  static constexpr int kWords = Steps > 0 ? Steps : 1;
+  static constexpr int kBytes = Steps == 2 ? 8 : 4;  // of an aligned load
+  Pixels pixels;
+  int from, last, last_row, step;
+  unsigned row_stride;
+  bool is_inner;  // words after those that are read are in the row, too
+
+  __device__ __forceinline__ Source(PatchImage const& image, int channels, int first, int steps)
+      : from(first),
+        last(image.width - 1),
+        last_row(image.height - 1),
+        step(int(image.step)),
+        row_stride(unsigned(image.row_stride)),
+        is_inner(first + 16 * steps + 8 <= image.width) {
+    bool const is_aligned = image.row_stride % kBytes == 0 && (channels == 1 || image.channel_stride % kBytes == 0);
+    pixels = step == 1                                           ? is_aligned ? Pixels::aligned : Pixels::shifted
+             : step == 3 && image.row_stride >= 48 * (steps + 1) ? Pixels::interleaved
+                                                                 : Pixels::apart;
+    if (pixels == Pixels::aligned) from -= int((reinterpret_cast<uintptr_t>(image.data) + first) % kBytes);
   }
-  __device__ __forceinline__ bool is_shifted(int y) const { return !by_bytes && (is_inner || y < last_row); }
-  // Of the lane, where all of its loads of a row are adjacent.
+  // Of the lane, where its pixels of a row are adjacent.
   __device__ __forceinline__ int offset() const {
-    return Aligned && Steps > 0 ? min(from + column_of<Steps>(0), last) : 0;
+    if (Steps == 0 || (!Planes && pixels == Pixels::apart)) return 0;
+    int const x = from + column_of<Steps>(0);
+    return !Planes && pixels == Pixels::interleaved ? 3 * x : min(x, last);
+  }
+  // Whether interleaved rows before `end` may be read some bytes further.
+  __device__ __forceinline__ bool is_safe(int end) const { return is_inner || end <= last_row; }
+
+  template <class V>
+  static __device__ __forceinline__ V const* aligned(uint8_t const* at) {
+    return reinterpret_cast<V const*>(reinterpret_cast<uintptr_t>(at) & ~uintptr_t(sizeof(V) - 1));
+  }
+  // The first bytes of four times three.
+  static __device__ __forceinline__ uint32_t every_third(uint32_t a, uint32_t b, uint32_t c) {
+    return __byte_perm(__byte_perm(a, b, 0x0630), c, 0x5210);
+  }
+  // Each byte alone, from column x on.
+  __device__ __forceinline__ uint32_t gather(uint8_t const* row, int x) const {
+    uint32_t bytes[4];
+#pragma unroll
+    for (int i = 0; i < 4; ++i) bytes[i] = row[min(x + i, last) * step];
+    return bytes[0] | bytes[1] << 8 | bytes[2] << 16 | bytes[3] << 24;
   }
 
   // Four bytes from column x on.
-  __device__ __forceinline__ uint32_t word(uint8_t const* row, int y, int x) const {
-    if constexpr (Aligned) return *reinterpret_cast<uint32_t const*>(row + min(x, last));
-    if (is_shifted(y)) {
-      unsigned const bytes = unsigned(reinterpret_cast<uintptr_t>(row + x) % 4);
-      auto const* const words = reinterpret_cast<uint32_t const*>(row + x - bytes);
-      return __funnelshift_r(words[0], words[1], 8 * bytes);
+  template <Pixels P>
+  __device__ __forceinline__ uint32_t word(uint8_t const* row, int x) const {
+    if constexpr (P == Pixels::aligned) return *aligned<uint32_t>(row + min(x, last));
+    if constexpr (P == Pixels::shifted)
+      return __funnelshift_r(*aligned<uint32_t>(row + min(x, last)), *aligned<uint32_t>(row + min(x + 3, last)),
+                             8 * (unsigned(reinterpret_cast<uintptr_t>(row + x)) % 4));
+    if constexpr (P == Pixels::interleaved) {
+      uint32_t const* const at = aligned<uint32_t>(row + 3 * x);
+      unsigned const bits = 8 * (unsigned(reinterpret_cast<uintptr_t>(row + 3 * x)) % 4);
+      uint32_t const a = at[0], b = at[1], c = at[2], d = at[3];
+      return every_third(__funnelshift_r(a, b, bits), __funnelshift_r(b, c, bits), __funnelshift_r(c, d, bits));
     }
-    uint32_t word = 0;
-#pragma unroll 1
-    for (int i = 0; i < 4; ++i) word |= uint32_t(row[min(x + i, last) * step]) << (8 * i);
-    return word;
+    return gather(row, x);
   }
-  // Those of all steps, in a row or `offset()` further.
-  __device__ __forceinline__ void load(uint8_t const* row, int y, uint32_t (&words)[Steps > 0 ? Steps : 1]) const {
-    int const x = from + column_of<Steps>(0);
-    if constexpr (Aligned && Steps == 2) {
-      uint2 const both = *reinterpret_cast<uint2 const*>(row);
-      words[0] = both.x, words[1] = both.y;
-    } else if constexpr (Aligned) {
+
+  // Registers for all loads at once would be taken from what is kept in them.
+  static __device__ __forceinline__ void limit_loads() { asm volatile("" ::: "memory"); }
+
+  // Loads the words of all steps in rows y + 8 i of a channel, which begins at `plane`, or `offset()` further. Those of
+  // rows that are not aligned are still to be shifted.
+  __device__ __forceinline__ void load(uint8_t const* plane, int y, uint32_t (&words)[4][kWords]) const {
+    uint8_t const* rows[4];
 #pragma unroll
-      for (int s = 0; s < Steps; ++s) words[s] = *reinterpret_cast<uint32_t const*>(row + clamp(last - x, 0, 4 * s));
-    } else if (is_shifted(y)) {
-      unsigned const bytes = unsigned(reinterpret_cast<uintptr_t>(row + x) % 4);
-      auto const* const aligned = reinterpret_cast<uint32_t const*>(row + x - bytes);
-      uint32_t next = aligned[0];
+    for (int i = 0; i < 4; ++i) rows[i] = plane + uint64_t(unsigned(min(y + 8 * i, last_row))) * row_stride;
+    if (Planes || pixels == Pixels::aligned || pixels == Pixels::shifted) {
+      if constexpr (Steps == 2) {
 #pragma unroll
-      for (int s = 0; s < Steps; ++s) {
-        uint32_t const low = next;
-        next = aligned[s + 1];
-        words[s] = __funnelshift_r(low, next, 8 * bytes);
+        for (int i = 0; i < 4; ++i) {
+          uint2 const both = *aligned<uint2>(rows[i]);
+          words[i][0] = both.x, words[i][1] = both.y;
+        }
+      } else if (is_inner) {
+#pragma unroll
+        for (int i = 0; i < 4; ++i)
+#pragma unroll
+          for (int s = 0; s < Steps; ++s) words[i][s] = aligned<uint32_t>(rows[i])[s];
+      } else {
+        int const left = last - offset();
+#pragma unroll
+        for (int i = 0; i < 4; ++i)
+#pragma unroll
+          for (int s = 0; s < Steps; ++s) {
+            int const words_left = int(reinterpret_cast<uintptr_t>(rows[i]) % 4 + unsigned(left)) / 4;
+            words[i][s] = aligned<uint32_t>(rows[i])[min(s, words_left)];
+          }
+      }
+    } else if (pixels == Pixels::interleaved && is_safe(y - int(threadIdx.x % 32 / 4) + kChunk)) {
+      constexpr int kVectors = (7 + 12 * Steps) / 8 + 1;
+#pragma unroll
+      for (int i = 0; i < 4; ++i) {
+        if (i == 2) limit_loads();
+        uint32_t all[2 * kVectors], own[3 * Steps + 1];
+#pragma unroll
+        for (int v = 0; v < kVectors; ++v) {
+          uint2 const both = aligned<uint2>(rows[i])[v];
+          all[2 * v] = both.x, all[2 * v + 1] = both.y;
+        }
+        unsigned const before = unsigned(reinterpret_cast<uintptr_t>(rows[i])) % 8;
+#pragma unroll
+        for (int w = 0; w <= 3 * Steps; ++w) own[w] = before >= 4 ? all[w + 1] : all[w];
+#pragma unroll
+        for (int w = 0; w < 3 * Steps; ++w) own[w] = __funnelshift_r(own[w], own[w + 1], 8 * (before % 4));
+#pragma unroll
+        for (int s = 0; s < Steps; ++s) words[i][s] = every_third(own[3 * s], own[3 * s + 1], own[3 * s + 2]);
       }
     } else {
 #pragma unroll
-      for (int s = 0; s < Steps; ++s) words[s] = word(row, y, x + 4 * s);
+      for (int i = 0; i < 4; ++i) {
+        limit_loads();
+#pragma unroll
+        for (int s = 0; s < Steps; ++s) words[i][s] = gather(rows[i] - offset(), from + column_of<Steps>(s));
+      }
+    }
+  }
+  // Makes the bytes from `from` on of what was loaded. Lane % 4 has those before the next lane's; the last one's are no
+  // longer read.
+  __device__ __forceinline__ void shift(uint8_t const* plane, int y, uint32_t (&words)[4][kWords]) const {
+    unsigned const before =
+        (unsigned(reinterpret_cast<uintptr_t>(plane)) + unsigned(from - offset()) + unsigned(y) * row_stride) % kBytes;
+    unsigned const bits = 8 * (before % 4);
+    if constexpr (Steps == 2) {
+      bool const by_word = before >= 4;
+      int const lane = int(threadIdx.x % 32), lane_of_second = lane + by_word;
+#pragma unroll
+      for (int i = 0; i < 4; ++i) {
+        uint32_t const first = by_word ? words[i][1] : words[i][0];
+        uint32_t const second = __shfl_sync(0xffffffffu, by_word ? words[i][0] : words[i][1], lane_of_second);
+        uint32_t const third = __shfl_down_sync(0xffffffffu, first, 1);
+        words[i][0] = __funnelshift_r(first, second, bits), words[i][1] = __funnelshift_r(second, third, bits);
+      }
+    } else {
+#pragma unroll
+      for (int i = 0; i < 4; ++i) {
+        uint32_t const next = __shfl_down_sync(0xffffffffu, words[i][0], 1);
+#pragma unroll
+        for (int s = 0; s < Steps; ++s)
+          words[i][s] = __funnelshift_r(words[i][s], s + 1 < Steps ? words[i][s + 1] : next, bits);
+      }
     }
   }
 };
@@ -377,8 +469,8 @@ struct Shared {
   uint32_t row_at[kMaxRows];  // addresses of the rows of a tile
 };
 
-template <class U, int Steps, bool Aligned>
-__global__ void __launch_bounds__(kThreads, 3)
+template <class U, int Steps, bool Planes>
+__global__ void __launch_bounds__(kThreads, Steps == 2 ? 3 : 2)
     make_patches_of_bytes(__grid_constant__ VisionPatches<uint8_t> const p, __grid_constant__ Table const table,
                           __grid_constant__ ByteTiles const tiles) {
   extern __shared__ __align__(16) unsigned char memory[];
@@ -432,7 +524,7 @@ __global__ void __launch_bounds__(kThreads, 3)
   int const steps = Steps > 0 ? Steps : tiles.steps, first_column = tile_j * size;
   double const scale_x = axis_x.scale();
   int const first_pixel = axis_x.first(axis_x.center(first_column + min(x0, columns - 1), scale_x), scale_x);
-  Source<Steps, Aligned> const source(image, first_pixel, steps);
+  Source<Steps, Planes> const source(image, channels, first_pixel, steps);
   uint4 weights[Steps > 0 ? Steps : 1];
   uint4* const more_weights = reinterpret_cast<uint4*>(memory + tiles.x_weights) + warp * steps * 32 + lane;
   int const own_columns[] = {first_column + column_of_tile(x0 + lane / 4),
@@ -444,20 +536,11 @@ __global__ void __launch_bounds__(kThreads, 3)
       more_weights[32 * s] = pairs;
   });
 
-  unsigned const row_stride = unsigned(image.row_stride);
   uint8_t const* const image_rows = static_cast<uint8_t const*>(image.data) + source.offset();
-  int top = 0;  // of the rows of the image that a tile reads, plus lane / 4
-  auto const row_of = [&](int chunk, int i) { return min(top + kChunk * chunk + 8 * i, source.last_row); };
-  auto const at_row = [&](uint8_t const* plane, int y) { return plane + uint64_t(unsigned(y)) * row_stride; };
-  uint32_t words[4][Steps > 0 ? Steps : 1];  // of the next chunk
+  int top = 0;                                       // of the rows of the image that a tile reads, plus lane / 4
+  uint32_t words[4][Source<Steps, Planes>::kWords];  // of the next chunk
   auto const load = [&](uint8_t const* plane, int chunk) {
-    if constexpr (Steps > 0) {
-#pragma unroll
-      for (int i = 0; i < 4; ++i) {
-        int const y = row_of(chunk, i);
-        source.load(at_row(plane, y), y, words[i]);
-      }
-    }
+    if constexpr (Steps > 0) source.load(plane, top + kChunk * chunk, words);
   };
   // Weights of rows are found while the patches of another tile are copied.
   auto const y_weights_of = [&](int which) { return memory + sizeof(Shared) + which * tiles.y_bytes; };
@@ -501,25 +584,37 @@ __global__ void __launch_bounds__(kThreads, 3)
           int const next_k = k + 1;
           bool const is_last = next_k * kChunk >= read_rows;
           if constexpr (Steps > 0) {
+            if (source.pixels == Pixels::shifted) source.shift(plane, top, words);
 #pragma unroll
             for (int s = 0; s < Steps; ++s)
 #pragma unroll
               for (int j = 0; j < 4; ++j) multiply(sums[j], weights[s], low_pair(words[j][s]), high_pair(words[j][s]));
             load(is_last ? next_plane : plane, is_last ? 0 : next_k);
           } else {
-            int y[4];
-            uint8_t const* from[4];
+            uint8_t const* rows[4];
 #pragma unroll
-            for (int j = 0; j < 4; ++j) y[j] = row_of(k, j), from[j] = at_row(plane, y[j]);
+            for (int j = 0; j < 4; ++j)
+              rows[j] = plane + uint64_t(unsigned(min(top + kChunk * k + 8 * j, source.last_row))) * source.row_stride;
+            auto const add = [&](auto pixels) {
 #pragma unroll 2
-            for (int s = 0; s < steps; ++s) {
-              uint4 const weight = more_weights[32 * s];
+              for (int s = 0; s < steps; ++s) {
+                uint4 const weight = more_weights[32 * s];
+                uint32_t words[4];
 #pragma unroll
-              for (int j = 0; j < 4; ++j) {
-                uint32_t const word = source.word(from[j], y[j], source.from + column_of<0>(s));
-                multiply(sums[j], weight, low_pair(word), high_pair(word));
+                for (int j = 0; j < 4; ++j)
+                  words[j] = source.template word<pixels()>(rows[j], source.from + column_of<0>(s));
+#pragma unroll
+                for (int j = 0; j < 4; ++j) multiply(sums[j], weight, low_pair(words[j]), high_pair(words[j]));
               }
-            }
+            };
+            if (source.pixels == Pixels::aligned)
+              add(std::integral_constant<Pixels, Pixels::aligned>{});
+            else if (Planes || source.pixels == Pixels::shifted)
+              add(std::integral_constant<Pixels, Pixels::shifted>{});
+            else if (source.pixels == Pixels::interleaved && source.is_safe(top - lane / 4 + kChunk * next_k))
+              add(std::integral_constant<Pixels, Pixels::interleaved>{});
+            else
+              add(std::integral_constant<Pixels, Pixels::apart>{});
           }
           uint32_t const to = levels + 1024 * k;
 #pragma unroll
@@ -681,13 +776,6 @@ int launch(VisionPatches<uint8_t> const& p, CUstream_st* stream) {
     ByteTiles tiles = tiles_of<U>(p, p.images + first, part.count);
     for (int n = first; n < first + part.count; ++n)
       if (max(p.images[n].row_stride, p.images[n].step * p.images[n].width) > INT32_MAX) return kUnsupported;
-    int const bytes = tiles.steps == 2 ? 8 : 4;
-    bool aligned = true;
-    for (int n = first; n < first + part.count; ++n) {
-      PatchImage const& image = p.images[n];
-      aligned = aligned && image.step == 1 && image.row_stride >= image.width && image.row_stride % bytes == 0 &&
-                (p.channels == 1 || image.channel_stride % bytes == 0);
-    }
     if (tiles.bytes > max_shared_bytes(kShared) || tiles.down * p.patch > kMaxRows) return kUnsupported;
     // Strips so long that there are some waves of them: the weights of their columns are found once.
     int64_t all = 0;
@@ -698,12 +786,14 @@ int launch(VisionPatches<uint8_t> const& p, CUstream_st* stream) {
     unsigned const blocks = fill_table(part, p.images + first, tiles.across, tiles.down * tiles.strip, table);
     if (blocks == 0) continue;
     int const threads = int(ceil_div(tiles.across * p.patch, 16)) * 32;
-    auto const kernel_of = [&](auto is_aligned) {
-      return tiles.steps == 2   ? make_patches_of_bytes<U, 2, is_aligned()>
-             : tiles.steps == 3 ? make_patches_of_bytes<U, 3, is_aligned()>
-                                : make_patches_of_bytes<U, 0, is_aligned()>;
+    bool planes = true;
+    for (int n = first; n < first + part.count; ++n) planes = planes && p.images[n].step == 1;
+    auto const kernel_of = [&](auto of_planes) {
+      return tiles.steps == 2   ? make_patches_of_bytes<U, 2, of_planes()>
+             : tiles.steps == 3 ? make_patches_of_bytes<U, 3, of_planes()>
+                                : make_patches_of_bytes<U, 0, of_planes()>;
     };
-    auto* const kernel = aligned ? kernel_of(std::true_type{}) : kernel_of(std::false_type{});
+    auto* const kernel = planes ? kernel_of(std::true_type{}) : kernel_of(std::false_type{});
     if (int const error = cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, tiles.bytes))
       return error;
     kernel<<<blocks, threads, unsigned(tiles.bytes), stream>>>(part, table, tiles);

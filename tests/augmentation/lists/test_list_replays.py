@@ -65,3 +65,11 @@ def test_samples_that_are_not_chosen_are_replayed_in_one_launch(device, backend)
         replayed = warp(images, params=warp._params)
     assert backend == "reference" or counted.count == 1
     assert all(torch.equal(a, b) for a, b in zip(replayed, results))
+
+
+def test_replays_leave_the_generator_of_torch_alone(device):
+    images, warp = pictures(device), A.RandomPerspective(p=0.5)
+    warp(images)
+    state = torch.get_rng_state()
+    warp(images, params=warp._params)
+    assert torch.equal(torch.get_rng_state(), state)

@@ -294,7 +294,13 @@ def columns_of_sizes(
 def _on_host(params: Params) -> Params:
     """Parameters that the host can read: in place of those on a device, for which it does not wait, any others."""
     is_there = any(isinstance(x, Tensor) and x.is_cuda for x in params.values())
-    return {k: torch.rand(x.shape, device="cpu") for k, x in params.items()} if is_there else params
+    if not is_there:
+        return params
+    others = torch.Generator("cpu").manual_seed(0)  # that of torch is for what users draw
+    return {
+        k: torch.rand(x.shape, generator=others, device="cpu") if isinstance(x, Tensor) else x
+        for k, x in params.items()
+    }
 
 
 def takes_given(step: Step, modules: Sequence[Any], dtype: torch.dtype) -> bool:

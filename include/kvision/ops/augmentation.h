@@ -128,11 +128,11 @@ inline constexpr Operator<"erase_grid", Tensor(Tensor images, Tensor grids, Tens
 
 // --- augmentation/lists/drawn_layers_op.cpp
 
-inline constexpr Operator<
-    "spatter_layers", Two(Tensor identity, Tensor standard, Tensor keys, OptionalTensor seeds, OptionalTensor chosen,
-                          Ints plan, Ints sides, OptionalTensor sigma, int64_t ky, int64_t kx, double sigma_y,
-                          double sigma_x, Tensor parameters, bool is_rain, OptionalTensor soft_sigma, int64_t soft_ky,
-                          int64_t soft_kx, double soft_sigma_y, double soft_sigma_x)>
+inline constexpr Operator<"spatter_layers",
+                          Two(Tensor standard, Tensor keys, OptionalTensor seeds, OptionalTensor chosen, Ints plan,
+                              Ints sides, OptionalTensor sigma, int64_t ky, int64_t kx, double sigma_y, double sigma_x,
+                              Tensor parameters, bool is_rain, OptionalTensor soft_sigma, int64_t soft_ky,
+                              int64_t soft_kx, double soft_sigma_y, double soft_sigma_x)>
     spatter_layers{no_gradient};
 inline constexpr Operator<"blurred_maps",
                           Tensor(Tensor parameters, Tensor keys, OptionalTensor seeds, OptionalTensor chosen, Ints plan,

@@ -15,12 +15,12 @@ from kvision.augmentation.engine.call_context import CallContext
 from kvision.augmentation.engine.execution import Shape, matrix_type
 from kvision.augmentation.engine.label_record import LabelRecord
 from kvision.augmentation.engine.label_settings import MaskReading
+from kvision.augmentation.engine.list_boxes import are_boxes_or_points, follow_matrices, move_each
 from kvision.augmentation.engine.parts import Parts, of_rows
 from kvision.augmentation.engine.passes import Alone, Joined, Running, plan_steps
 from kvision.augmentation.engine.record import Child, Record
 from kvision.augmentation.engine.runs import replayed
 from kvision.augmentation.engine.stages import Chain, Stage
-from kvision.augmentation.lists.boxes import are_boxes_or_points, follow_matrices, move_each
 from kvision.augmentation.lists.masks import checked_masks, move_masks
 from kvision.constants import DataKey
 

@@ -52,6 +52,27 @@ __device__ __forceinline__ void filter_windows(float const* weights, int taps, L
   }
 }
 
+// The weights of both axes, in shared memory; those of y are scaled.
+__device__ __forceinline__ void set_weights(ElasticDisplacements const& p, int channel, ElasticMemory& memory) {
+  int const t = int(threadIdx.x);
+  float const scale = p.noise.parameters ? p.noise.parameters[1] : p.scale[channel];
+  if (p.sigma[0] == 0) {
+    if (t <= kMaxElasticTaps) memory.kx[t] = p.kx[t], memory.ky[t] = p.ky[t] * scale;
+    return;
+  }
+  auto const weight = [&](float sigma, int taps) {
+    return t < taps ? filters::tap_weight(filters::Taps<float>{nullptr, 0, sigma, taps, taps / 2, true, false}, 0, t)
+                    : 0.f;
+  };
+  float const x = weight(p.sigma[0], p.taps_x), y = weight(p.sigma[1], p.taps_y);
+  if (t <= kMaxElasticTaps) memory.kx[t] = x, memory.ky[t] = y;
+  __syncthreads();
+  float sum_x = 0, sum_y = 0;
+  for (int i = 0; i <= kMaxElasticTaps; ++i) sum_x += memory.kx[i], sum_y += memory.ky[i];
+  __syncthreads();
+  if (t <= kMaxElasticTaps) memory.kx[t] = x / sum_x, memory.ky[t] = y / sum_y * scale;
+}
+
 // A strip of a plane. Drawn: the noise is drawn, not read. Aligned: rows are multiples of four pixels.
 template <bool Drawn, bool Aligned>
 __device__ __forceinline__ void blur_strip(ElasticDisplacements const& p, unsigned block_index, int rows) {
@@ -65,10 +86,7 @@ __device__ __forceinline__ void blur_strip(ElasticDisplacements const& p, unsign
   int64_t const b = plane / 2, offset = int64_t(plane) * p.noise.pixels;
   float* const result = p.noise.y + offset;
   bool const is_chosen = p.noise.is_chosen(b);
-  if (threadIdx.x <= kMaxElasticTaps) {
-    memory.kx[threadIdx.x] = p.kx[threadIdx.x];
-    memory.ky[threadIdx.x] = p.ky[threadIdx.x] * p.scale[channel];
-  }
+  set_weights(p, channel, memory);
   [[maybe_unused]] DrawSource source{};
   if constexpr (Drawn) source = p.noise.source(b);
   // A draw makes four pixels, which are counted row by row. So rows are drawn in blocks of four from the first column
@@ -81,7 +99,8 @@ __device__ __forceinline__ void blur_strip(ElasticDisplacements const& p, unsign
     int const has = y == y0 ? 0 : overlap, needs = min(kTileHeight, y1 - y) + overlap;
     for (int row = has; row < needs; row += 32) {
       // Each thread has a row. Its warp draws every eighth block of four pixels, then filters 16 columns.
-      int const at = y - p.taps_y / 2 + row + lane;
+      int at = y - p.taps_y / 2 + row + lane;
+      if (p.is_mirrored) at = border_index(Border::reflect, at, height);
       bool const exists = is_chosen && row + lane < needs && at >= 0 && at < height;
       int const before = (Aligned ? left : at * width + left) & 3, begin = left - before;
 #pragma unroll 2
@@ -110,6 +129,14 @@ __device__ __forceinline__ void blur_strip(ElasticDisplacements const& p, unsign
         for (int i = 0; i < 4; ++i) memory.noise[lane][4 * block + i] = v[i];
       }
       __syncthreads();
+      int const radius = p.taps_x / 2,
+                beyond = radius + min(x0 + kTileWidth - width, 0);  // columns behind the last one
+      if (p.is_mirrored && (x0 == 0 || beyond > 0)) {
+        float* const columns = memory.noise[lane] - begin;
+        for (int i = 1 + warp; i <= radius - x0; i += kThreads / 32) columns[-i] = columns[i];
+        for (int i = 1 + warp; i <= beyond; i += kThreads / 32) columns[width - 1 + i] = columns[width - 1 - i];
+        __syncthreads();
+      }
       float sums[16][1] = {};
       float const* const window = memory.noise[lane] + before + 16 * warp;
       if (x0 + 16 * warp < width)

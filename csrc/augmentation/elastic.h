@@ -2,13 +2,14 @@
 //
 //   d_c(y, x) = scale_c * sum over i, j of ky[i] kx[j] noise_c(y - ky / 2 + i, x - kx / 2 + j)
 //
-// with noise of 0 out of bounds. The noise is an argument, or it is drawn by the rule of noise.h. The CPU, and CUDA
-// where this kernel does not support the arguments, run the kernels of noise.h and filters/separable.h one after the
-// other.
+// with noise of 0, or reflected noise, out of bounds. The noise is an argument, or it is drawn by the rule of noise.h.
+// The CPU, and CUDA where this kernel does not support the arguments, run the kernels of noise.h and
+// filters/separable.h one after the other.
 #pragma once
 
 #include "augmentation/lists/listed_maps.h"
 #include "augmentation/noise.h"
+#include "filters/separable.h"
 
 namespace kv::augmentation {
 
@@ -20,7 +21,9 @@ struct ElasticDisplacements {
   int height, width;
   int taps_y, taps_x;
   float ky[kMaxElasticTaps + 1], kx[kMaxElasticTaps + 1];  // weights, followed by zeros
-  float scale[2];                                          // of x and of y
+  float scale[2];    // of x and of y; the noise has one itself where it has parameters
+  bool is_mirrored;  // out of bounds
+  float sigma[2];    // not 0: of x and of y, by which the kernel computes the weights
 };
 
 // Maps of a list, in one block of memory, of drawn noise. Those of samples that are not chosen, by the noise, are 0.
@@ -28,6 +31,7 @@ struct ElasticDisplacementsList {
   ElasticDisplacements all;
   double half[2];  // the scales are half the width and half the height less `less`, times so much
   double less;
+  double sigma_of_side;  // or 0; the windows of `all` are the largest
   ListedMaps list;
 
   KV_HD ElasticDisplacements sample(int b) const {
@@ -38,6 +42,12 @@ struct ElasticDisplacementsList {
     one.height = list.height[b], one.width = list.width[b];
     one.noise.pixels = one.noise.channel_stride = int64_t(one.height) * one.width;
     one.scale[0] = float(half[0] * (one.width - less) / 2), one.scale[1] = float(half[1] * (one.height - less) / 2);
+    if (sigma_of_side != 0) {
+      filters::Taps<float> x, y;
+      x.set_gaussian(sigma_of_side * one.width), y.set_gaussian(sigma_of_side * one.height);
+      one.taps_x = x.size, one.taps_y = y.size;
+      one.sigma[0] = x.sigma, one.sigma[1] = y.sigma;
+    }
     return one;
   }
 };

@@ -3,6 +3,7 @@
 
 #include "augmentation/elastic.h"
 #include "augmentation/noise_glue.h"
+#include "core/border.h"
 
 namespace kv::augmentation {
 
@@ -16,5 +17,14 @@ struct ElasticBlur {
 // whose images are the result; then those of samples that are not `chosen`, (B,) float32, are 0.
 void write_displacements(char const* op, Tensor const* noise, NoiseSource const* source, ElasticBlur const& blur,
                          Tensor const& result, std::optional<Tensor> const& chosen = {});
+
+#if defined(KV_CUDA)
+// Maps of a list of uniform noise, by its scale in parameters (B, 2), drawn and blurred by sigmas of `sigma` heights
+// and widths in one launch; nothing where no kernel serves them.
+std::optional<Tensor> blurred_maps_of_sides(char const* op, Tensor const& parameters, Tensor const& keys,
+                                            std::optional<Tensor> const& seeds, std::optional<Tensor> const& chosen,
+                                            std::vector<int64_t> const& plan, std::vector<int64_t> const& sides,
+                                            double sigma, Border border);
+#endif
 
 }  // namespace kv::augmentation

@@ -48,9 +48,57 @@ void set_blur(ElasticDisplacements& p, ElasticBlur const& blur) {
   set_gaussian(p.kx, blur.kx, blur.sigma_x);
   for (int i = 0; i < 2; ++i) p.scale[i] = float(blur.scale[i]);
 }
+
+// Fills the maps of a block with noise that the kernel draws and blurs; `p` has the blur and the scales.
+void draw_maps(char const* op, MapBlock const& block, Tensor const& result, ElasticDisplacementsList& p,
+               Tensor const& keys, std::optional<Tensor> const& seeds, std::optional<Tensor> const& chosen,
+               std::vector<int64_t> const& plan) {
+  int64_t height = 1, width = 1;
+  for (int64_t b = 0; b < block.count; ++b)
+    if (block.sides[size_t(2 * b)] * block.sides[size_t(2 * b + 1)] > height * width)
+      height = block.sides[size_t(2 * b)], width = block.sides[size_t(2 * b + 1)];
+  KV_CHECK(2 * height * width <= INT32_MAX, op, ": expected maps of less than 2^31 numbers");
+  Tensor const all = view_of(result, {block.count, 2, height, width}, {0, height * width, width, 1});
+  NoiseSource const source{op, all, keys, seeds, plan};
+  source.check();
+  p.all.noise.channels = 2, p.all.noise.step = 1;
+  p.all.noise.y = data_ptr<float>(result);
+  set_chosen(p.all.noise, chosen);
+  source.set(p.all.noise);
+  ElasticDisplacements const shared = p.all;
+  block.for_each_table(p.list, [&](int64_t first) {
+    p.all = shared;
+    p.all.noise.skip(first);
+    KV_RUN(elastic_displacements_list, result, p, 1, 0);
+  });
+}
 #endif
 
 }  // namespace
+
+#if defined(KV_CUDA)
+std::optional<Tensor> blurred_maps_of_sides(char const* op, Tensor const& parameters, Tensor const& keys,
+                                            std::optional<Tensor> const& seeds, std::optional<Tensor> const& chosen,
+                                            std::vector<int64_t> const& plan, std::vector<int64_t> const& sides,
+                                            double sigma, Border border) {
+  int64_t longest = 1;
+  for (int64_t side : sides) longest = std::max(longest, side);
+  filters::Taps<double> largest{};
+  largest.set_gaussian(sigma * double(longest));
+  bool const fits = fits_kernel(parameters.scalar_type(), {largest.size, largest.size, 1, 1, {}});
+  if (!fits || sides.empty() || (border != Border::reflect && border != Border::constant)) return {};
+  MapBlock const block(op, parameters.size(0), sides);
+  check_chosen(op, chosen, parameters);
+  Tensor const scales = dense(parameters), result = block.empty_like(parameters);
+  ElasticDisplacementsList p{};
+  p.all.noise.parameters = data_ptr<float const>(scales), p.all.noise.parameter_stride = 2;
+  p.all.taps_y = p.all.taps_x = largest.size;
+  p.all.is_mirrored = border == Border::reflect;
+  p.sigma_of_side = sigma;
+  draw_maps(op, block, result, p, keys, seeds, chosen, plan);
+  return result;
+}
+#endif
 
 void write_displacements(char const* op, Tensor const* noise, NoiseSource const* source, ElasticBlur const& blur,
                          Tensor const& result, std::optional<Tensor> const& chosen) {
@@ -127,27 +175,10 @@ Tensor elastic_displacements_list(Tensor const& like, Tensor const& keys, std::o
   };
 #if defined(KV_CUDA)
   if (fits_kernel(like.scalar_type(), blur) && count > 0) {
-    int64_t largest = 0;
-    for (int64_t b = 1; b < count; ++b)
-      if (map_of(b).numel() > map_of(largest).numel()) largest = b;
-    Tensor const one = map_of(largest);
-    Tensor const all = view_of(one, {count, 2, one.size(2), one.size(3)}, {0, one.stride(1), one.stride(2), 1});
-    NoiseSource const source{op, all, keys, seeds, plan};
-    source.check();
-    KV_CHECK(one.numel() <= INT32_MAX, op, ": expected maps of less than 2^31 numbers");
     ElasticDisplacementsList p{};
     set_blur(p.all, blur);
     p.half[0] = alpha_x, p.half[1] = alpha_y, p.less = less;
-    p.all.noise.channels = 2, p.all.noise.step = 1;
-    p.all.noise.y = data_ptr<float>(result);
-    set_chosen(p.all.noise, chosen);
-    source.set(p.all.noise);
-    ElasticDisplacements const shared = p.all;
-    block.for_each_table(p.list, [&](int64_t first) {
-      p.all = shared;
-      p.all.noise.skip(first);
-      KV_RUN(elastic_displacements_list, result, p, 1, 0);
-    });
+    draw_maps(op, block, result, p, keys, seeds, chosen, plan);
     return result;
   }
 #endif

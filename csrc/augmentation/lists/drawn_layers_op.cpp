@@ -1,4 +1,5 @@
 // Layers of noise of lists of images, drawn and changed in steps by one call: schemas and entries, for CPU and CUDA.
+#include "augmentation/elastic_glue.h"
 #include "augmentation/lists/list_steps.h"
 #include "geometry/transform/lists/list_glue.h"
 
@@ -37,8 +38,14 @@ std::tuple<Tensor, Tensor> spatter_layers(Tensor const& standard, Tensor const& 
 Tensor blurred_maps(Tensor const& parameters, Tensor const& keys, OptionalTensor const& seeds,
                     OptionalTensor const& chosen, std::vector<int64_t> const& plan, std::vector<int64_t> const& sides,
                     double sigma, int64_t border) {
+  constexpr char const* op = "blurred_maps";
+  Border const checked = to_border(op, border);
+#if defined(KV_CUDA)
+  if (auto const maps = blurred_maps_of_sides(op, parameters, keys, seeds, chosen, plan, sides, sigma, checked))
+    return *maps;
+#endif
   Tensors const noise = steps::drawn_noise(parameters, 2, sides, false, parameters, keys, seeds, chosen, plan);
-  return steps::gaussian_blur_of_sides(noise, sigma, to_border("blurred_maps", border));
+  return steps::gaussian_blur_of_sides(noise, sigma, checked);
 }
 
 }  // namespace

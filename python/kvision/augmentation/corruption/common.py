@@ -211,6 +211,11 @@ def _snow(
 
 
 @functools.lru_cache
+def _within_range() -> Pass:
+    return make_pass(None, parts=[ColorPart([_CLAMPED])])
+
+
+@functools.lru_cache
 def _above(mean: float, deviation: float, threshold: float) -> Pass:
     """Noise times a deviation and plus a mean, within [0, 1], and 0 where it is not above a threshold."""
     scaled = ColorStep("scale_shift", deviation, mean, 0.0)
@@ -262,6 +267,8 @@ class Displaced(NamedTuple):
         y = maps.read_displaced_list(images, self.displacements, _MIRRORED)
         if y[0].dtype == torch.uint8:
             return y
+        if chosen is None:
+            return run_on_list(_within_range(), y)
         nothing = constant(((((0.0,),),),), y[0], compute_dtype(y[0])).expand(-1, -1, *largest_shape(images)[2:])
         return layered(nothing, 1.0, 0.0, 0.0, 0.0).on_list(y, chosen)
 

@@ -22,22 +22,35 @@ struct DropObjects {
     x = (x ^ (x >> 15)) * 0x846CA68Bu;
     return x ^ (x >> 16);
   }
-  // The rank of element i of a sample, of `pixels` for each mask; -1 where there is no object.
-  KV_HD int64_t rank(int64_t b, int64_t i, uint32_t word) const {
-    T const value = values[b * masks * pixels + i];
-    if (value == 0) return -1;
-    uint32_t const object =
-        components ? uint32_t(region(b, components[b * pixels + i])) + mixed(uint32_t(value)) : uint32_t(i / pixels);
-    return mixed(object ^ word);
-  }
-  // The number of a region, which is one more than its first pixel, in the image without its padding.
-  KV_HD int64_t region(int64_t b, int64_t number) const {
-    if (!widths) return number;
-    int64_t const row = (number - 1) / width;
-    return number - row * (width - widths[b]);
+  // Those of the elements of a sample, of `pixels` for each mask; -1 where there is no object.
+  struct Ranks {
+    T const *values, *components;
+    int64_t pixels;
+    uint32_t word;
+    int width, padding;
+
+    // The number of the region at element i, which has this value, if there is one.
+    KV_HD T number(int64_t i, T value) const { return value != 0 && components ? components[i] : 0; }
+    KV_HD int64_t rank(int64_t i, T value, T number) const {
+      if (value == 0) return -1;
+      uint32_t const object = components ? region(number) + mixed(uint32_t(value)) : uint32_t(i / pixels);
+      return mixed(object ^ word);
+    }
+    KV_HD int64_t operator()(int64_t i) const { return rank(i, values[i], number(i, values[i])); }
+    // The number of a region, which is one more than its first pixel, in the image without its padding.
+    KV_HD uint32_t region(T number) const {
+      return uint32_t(number) - (padding == 0 ? 0 : uint32_t((int(number) - 1) / width * padding));
+    }
+  };
+  KV_HD Ranks ranks(int64_t b) const {
+    return {values + b * masks * pixels,
+            components ? components + b * pixels : nullptr,
+            pixels,
+            mixed(uint32_t(words[b])),
+            int(width),
+            int(widths ? width - widths[b] : 0)};
   }
   KV_HD int count(int64_t b) const { return int(min(counts[b], float(most))); }
-  KV_HD uint32_t word(int64_t b) const { return mixed(uint32_t(words[b])); }
   // What stands for all ranks being below it.
   static constexpr int64_t kNone = int64_t(1) << 32;
 };

@@ -27,6 +27,7 @@ Tensor drop_objects(Tensor const& masks, std::optional<Tensor> const& components
   KV_CHECK(!widths || (widths->dim() == 1 && widths->size(0) == batch && widths->scalar_type() == ScalarType::Long &&
                        widths->device() == masks.device()),
            op, ": expected int64 widths of shape (B,) on the device of masks");
+  KV_CHECK(!widths || height * width <= INT32_MAX, op, ": expected smaller masks with widths");
   Tensor const x = dense(masks), own_words = dense(words), own_counts = dense(counts),
                y = empty({batch, 1, height, width}, masks, Layout::planar, ScalarType::Byte);
   std::optional<Tensor> const regions = components ? std::optional<Tensor>(dense(*components)) : std::nullopt;

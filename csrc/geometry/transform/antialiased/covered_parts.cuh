@@ -17,7 +17,7 @@ constexpr int kChannelsTogether = 3;
 // The capacity of source tiles.
 struct PartTiles {
   static constexpr int kPitch = 64, kRows = 52;
-  static int bytes(int channels) {
+  static constexpr int bytes(int channels) {
     return (channels >= kChannelsTogether ? kChannelsTogether : 1) * kPitch * kRows * int(sizeof(float));
   }
 };
@@ -26,15 +26,19 @@ struct PartTiles {
 template <class F>
 struct PartPlan {
   Footprint<F> footprint;  // of an affine map
-  bool fits, varies, separable, along_x;
+  bool fits, varies, along_x;
+  bool separable;              // and of more than bilinear taps, for which large parts are faster
   int log_columns, log_rows;   // of pixels
   int taps_x, taps_y, across;  // across: the logarithm of the threads of a pixel; taps_x is a multiple of these
   F reach_x, reach_y;
   F low_u, low_v, high_u, high_v;  // from a part's first pixel, of the windows' first columns and rows; of affine maps
+  F middle_u, middle_v;            // of the part
   F back[4], limit_x, limit_y;     // pixels of the source that are farther away than the limits are not read
 
-  // By a warp, for a tile of an output of that size whose source tile has so many columns and rows.
-  __device__ __forceinline__ void init(Tile<F> const& tile, int width, int height, int columns, int rows) {
+  // By a warp, for a tile of an output of that size whose source tile has so many columns and rows. Parts have up to
+  // 2^log_side pixels along each axis where weights are separable, else 32.
+  __device__ __forceinline__ void init(Tile<F> const& tile, int width, int height, int columns, int rows,
+                                       int log_side) {
     F const x = F(threadIdx.x & 1 ? min(kTile, width - tile.x) - 1 : 0);
     F const y = F(threadIdx.x & 2 ? min(kTile, height - tile.y) - 1 : 0);
     F u, v;
@@ -53,7 +57,6 @@ struct PartPlan {
                                  max(a.uy, b.uy),           max(a.vx, b.vx),           max(a.vy, b.vy)};
                        });
     varies = !tile.map.affine;
-    separable = !varies && footprint.is_separable();
     along_x = most.ux >= most.uy;
     reach_x = most.reach_x;
     reach_y = most.reach_y;
@@ -66,10 +69,11 @@ struct PartPlan {
       taps_x = -floor_to_int<F>(-2 * reach_x * kLess);
       taps_y = -floor_to_int<F>(-2 * reach_y * kLess);
     }
+    separable = !varies && footprint.is_separable() && max(taps_x, taps_y) > 2;
     across = taps_x <= 4 ? 0 : taps_x <= 8 ? 1 : taps_x <= 16 ? 2 : 3;
     fits = fits && taps_x <= 32;
     taps_x = (taps_x <= 2 ? 2 : taps_x <= 3 << across ? 3 : 4) << across;
-    log_columns = log_rows = 5;
+    log_columns = log_rows = separable ? log_side : 5;
     while (fits) {
       F const across_x = F((1 << log_columns) - 1), across_y = F((1 << log_rows) - 1);
       if (most.ux * across_x + most.uy * across_y + F(taps_x + 6) <= F(columns) &&
@@ -86,6 +90,8 @@ struct PartPlan {
     low_v = min(by.vx * last_x, F(0)) + min(by.vy * last_y, F(0)) - reach_y;
     high_u = max(by.ux * last_x, F(0)) + max(by.uy * last_y, F(0)) - reach_x;
     high_v = max(by.vx * last_x, F(0)) + max(by.vy * last_y, F(0)) - reach_y;
+    middle_u = (by.ux * last_x + by.uy * last_y) / 2;
+    middle_v = (by.vx * last_x + by.vy * last_y) / 2;
     F const det = by.ux * by.vy - by.uy * by.vx;
     if (varies || !(vabs(det) > F(1e-3))) {
       back[0] = back[1] = back[2] = back[3] = limit_x = limit_y = 0;
@@ -98,6 +104,18 @@ struct PartPlan {
     F const to_x = max(reach_x, F(taps_x) - reach_x) + 2, to_y = max(reach_y, F(taps_y) - reach_y) + F(0.5);
     limit_x = last_x / 2 + vabs(back[0]) * to_x + vabs(back[1]) * to_y;
     limit_y = last_y / 2 + vabs(back[2]) * to_x + vabs(back[3]) * to_y;
+  }
+  // More threads for a pixel of parts of few pixels, where the source tile has room for their taps.
+  __device__ __forceinline__ void use_all_threads(int columns) {
+    int const most = min(8 - log_columns - log_rows, 3);
+    if (across >= most) return;
+    int const threads = 1 << most, taps = max((taps_x + threads - 1) >> most, 2) << most;
+    if (high_u - low_u + F(taps + 6) > F(columns)) return;
+    F const more = F(max(taps - taps_x, 0));
+    limit_x += vabs(back[0]) * more;
+    limit_y += vabs(back[2]) * more;
+    taps_x = taps;
+    across = most;
   }
 };
 
@@ -150,6 +168,12 @@ struct PartBounds {
     rows = min(floor_to_int<F>(high_v) + plan.taps_y + 2 - top, most_rows);
     center_u = (low_u + high_u) / 2 + plan.reach_x - F(left);
     center_v = (low_v + high_v) / 2 + plan.reach_y - F(top);
+  }
+  // Whether all taps, in vectors of V, are pixels of the image.
+  template <int V, class Params>
+  __device__ __forceinline__ bool is_inside(Tile<F> const& tile, Params const& p) const {
+    int const x = left + tile.u, y = top + tile.v;
+    return x >= 0 && x + (columns + V - 1) / V * V <= p.x_axis.size && y >= 0 && y + rows <= p.y_axis.size;
   }
   // Whether all taps are the fill.
   template <class T>
@@ -229,9 +253,8 @@ __device__ __forceinline__ void load_part(Params const& p, Tile<F> const& tile, 
         convert(to + k * Pitch, vector_at(k, at));
     }
   };
-  int const first_column = part.left + tile.u, top = part.top + tile.v;
-  if (first_column >= 0 && first_column + (part.columns + V - 1) / V * V <= p.x_axis.size && top >= 0 &&
-      top + rows <= p.y_axis.size) {
+  int const top = part.top + tile.v;
+  if (part.template is_inside<V>(tile, p)) {
     int at = (top + first_row) * row_stride + from * (Aligned ? 1 : step);
 #pragma unroll 1
     for (int row = first_row; row < rows; row += kTogether * kRowsAtOnce) {
@@ -310,7 +333,7 @@ __device__ __forceinline__ int floor_near(float x, float& whole) {
 
 // Samples N channels of a part, with 2^A threads and Taps << A columns for each pixel; thread k mod 2^A stores channel
 // k. Whether one of a thread's pixels is out of reach or not finite.
-template <int A, int Taps, bool Separable, int N, class T, class F>
+template <int A, int Taps, int N, class T, class F>
 __device__ __forceinline__ bool sample_part(Sample<T> const& p, Tile<F> const& tile, PartPlan<F> const& plan,
                                             PartBounds<F> const& part, int first, int x0, int y0, F const* memory) {
   constexpr int Pitch = PartTiles::kPitch, kPixelsOfWarp = 32 >> A, kPixelsAtOnce = kThreads / 32 * kPixelsOfWarp;
@@ -341,63 +364,37 @@ __device__ __forceinline__ bool sample_part(Sample<T> const& p, Tile<F> const& t
 #pragma unroll 1
   for (int base = warp * kPixelsOfWarp; base < pixels; base += kPixelsAtOnce) {
     bool fits = true;
-    if constexpr (!Separable) {
-      if (plan.varies) {
-        F const column = F(x - tile.x), row = F(y - tile.y);
-        tile.map.apply(column, row, u, v);
-        f = footprint(jacobian(tile.map, column, row, u, v));
-        fits = f.reach_x <= reach_x && f.reach_y <= reach_y;
-        u -= F(part.left);
-        v -= F(part.top);
-      }
+    if (plan.varies) {
+      F const column = F(x - tile.x), row = F(y - tile.y);
+      tile.map.apply(column, row, u, v);
+      f = footprint(jacobian(tile.map, column, row, u, v));
+      fits = f.reach_x <= reach_x && f.reach_y <= reach_y;
+      u -= F(part.left);
+      v -= F(part.top);
     }
     F left_of, top_of;
     int const left = floor_near(u - reach_x, left_of) + 1, top = floor_near(v - reach_y, top_of) + 1;
     fits = fits && unsigned(left) <= unsigned(last_left) && unsigned(top) <= unsigned(last_top);
     F const* at = memory + (fits ? top * (N * Pitch) + left : 0) + own;
     F const dx = left_of + F(own + 1) - u;
-    F dy = top_of + 1 - v, total = 0, sums[N] = {};
-    if constexpr (Separable) {
-      F weights[Taps], sum = 0;
+    F const dy = top_of + 1 - v;
+    F total = 0, sums[N] = {}, row_x = f.xx * dx + f.xy * dy, row_y = f.xy * dx + f.yy * dy;
+    F const step_x = f.xx * F(1 << A), step_y = f.xy * F(1 << A);
+#pragma unroll 1
+    for (int j = 0; j < taps_y; ++j) {
+      F qx = row_x, qy = row_y;
 #pragma unroll
       for (int i = 0; i < Taps; ++i) {
-        weights[i] = vsaturate(1 - vabs(f.xx * (dx + F(i << A))));
-        sum += weights[i];
+        F const weight = vsaturate(1 - vabs(qx)) * vsaturate(1 - vabs(qy));
+        total += weight;
+#pragma unroll
+        for (int k = 0; k < N; ++k) sums[k] += weight * at[k * Pitch + (i << A)];
+        qx += step_x;
+        qy += step_y;
       }
-      F q = f.yy * dy;
-#pragma unroll 2
-      for (int j = 0; j < taps_y; ++j) {
-        F const down = vsaturate(1 - vabs(q));
-        q += f.yy;
-        total += down;
-#pragma unroll
-        for (int i = 0; i < Taps; ++i) {
-          F const weight = weights[i] * down;
-#pragma unroll
-          for (int k = 0; k < N; ++k) sums[k] += weight * at[k * Pitch + (i << A)];
-        }
-        at += N * Pitch;
-      }
-      total *= sum;
-    } else {
-      F row_x = f.xx * dx + f.xy * dy, row_y = f.xy * dx + f.yy * dy;
-      F const step_x = f.xx * F(1 << A), step_y = f.xy * F(1 << A);
-#pragma unroll 1
-      for (int j = 0; j < taps_y; ++j) {
-        F qx = row_x, qy = row_y;
-#pragma unroll
-        for (int i = 0; i < Taps; ++i) {
-          F const weight = vsaturate(1 - vabs(qx)) * vsaturate(1 - vabs(qy));
-          total += weight;
-#pragma unroll
-          for (int k = 0; k < N; ++k) sums[k] += weight * at[k * Pitch + (i << A)];
-          qx += step_x;
-          qy += step_y;
-        }
-        row_x += f.xy;
-        row_y += f.yy;
-        at += N * Pitch;
-      }
+      row_x += f.xy;
+      row_y += f.yy;
+      at += N * Pitch;
     }
     bool const is_pixel = exists && cross < lines;
     if constexpr (N == 3 && A >= 2) {
@@ -440,7 +437,7 @@ __device__ __forceinline__ bool sample_part(Sample<T> const& p, Tile<F> const& t
       }
     }
     cross += step;
-    if constexpr (!Separable) (along_x ? y : x) += step;
+    (along_x ? y : x) += step;
     to += to_step;
     u += step_u;
     v += step_v;
@@ -465,37 +462,29 @@ __device__ __noinline__ void resample_part(Sample<T> const& p, Tile<F> const& ti
   }
 }
 
-template <int N, class T, class F>
-__device__ __forceinline__ void dispatch_part(Sample<T> const& p, Tile<F> const& tile, PartPlan<F> const& plan,
-                                              PartBounds<F> const& part, int first, int x0, int y0, F const* memory) {
-  bool failed = false;
-  auto const with_taps = [&](auto across) {
+// Calls take(across, taps) with a plan's numbers, as types: the logarithm of the threads of a pixel, the columns of
+// each.
+template <class F, class Take>
+__device__ __forceinline__ void dispatch_shape(PartPlan<F> const& plan, Take take) {
+  auto const with_across = [&](auto across) {
     constexpr int A = across.value;
-    auto const with_shape = [&](auto taps) {
-      failed = plan.separable ? sample_part<A, taps.value, true, N>(p, tile, plan, part, first, x0, y0, memory)
-                              : sample_part<A, taps.value, false, N>(p, tile, plan, part, first, x0, y0, memory);
-    };
-    if (A == 0 && plan.taps_x == 2)
-      with_shape(std::integral_constant<int, 2>{});
+    if (plan.taps_x == 2 << A)
+      take(across, std::integral_constant<int, 2>{});
     else if (plan.taps_x == 3 << A)
-      with_shape(std::integral_constant<int, 3>{});
+      take(across, std::integral_constant<int, 3>{});
     else
-      with_shape(std::integral_constant<int, 4>{});
+      take(across, std::integral_constant<int, 4>{});
   };
   switch (plan.across) {
     case 0:
-      with_taps(std::integral_constant<int, 0>{});
-      break;
+      return with_across(std::integral_constant<int, 0>{});
     case 1:
-      with_taps(std::integral_constant<int, 1>{});
-      break;
+      return with_across(std::integral_constant<int, 1>{});
     case 2:
-      with_taps(std::integral_constant<int, 2>{});
-      break;
+      return with_across(std::integral_constant<int, 2>{});
     default:
-      with_taps(std::integral_constant<int, 3>{});
+      return with_across(std::integral_constant<int, 3>{});
   }
-  if (failed) resample_part<N>(p, tile, plan, first, x0, y0);
 }
 
 // A block's tile and its plan, in shared memory.
@@ -506,13 +495,15 @@ struct TileInParts {
 
   // By all threads, of an output of that size.
   template <class Params>
-  __device__ __forceinline__ void init(TileGrid const& tiles, Params const& p, int width, int height) {
+  __device__ __forceinline__ void init(TileGrid const& tiles, Params const& p, int width, int height,
+                                       int log_side = 5) {
     if (threadIdx.x < 32) {
       Tile<F> own;
       PartPlan<F> own_plan;
       own.init(tiles, p.coords);
       own.image = p.image_of(own.b);
-      own_plan.init(own, width, height, PartTiles::kPitch, PartTiles::kRows);
+      own_plan.init(own, width, height, PartTiles::kPitch, PartTiles::kRows, log_side);
+      if (own_plan.separable && log_side < 5) own_plan.use_all_threads(PartTiles::kPitch);
       if (threadIdx.x == 0) {
         tile = own;
         plan = own_plan;
@@ -520,43 +511,54 @@ struct TileInParts {
     }
     __syncthreads();
   }
-  // Calls take(x, y, bounds) for the parts of the tile whose number is `split` modulo `splits`.
-  template <class Take>
-  __device__ __forceinline__ void for_each_part(int width, int height, int split, int splits, Take take) const {
+  __device__ __forceinline__ int count() const { return 1 << (10 - plan.log_columns - plan.log_rows); }
+  // Where part `number` begins.
+  __device__ __forceinline__ void locate(int number, int& x, int& y) const {
     int const log_across = 5 - plan.log_columns;
+    x = tile.x + ((number & ((1 << log_across) - 1)) << plan.log_columns);
+    y = tile.y + (number >> log_across << plan.log_rows);
+  }
+  __device__ __forceinline__ PartBounds<F> bounds(int x, int y, int width, int height) const {
+    return {tile, plan, x, y, width, height, PartTiles::kPitch, PartTiles::kRows};
+  }
+  // Calls take(x, y) for the parts of the tile.
+  template <class Take>
+  __device__ __forceinline__ void for_each_part(int width, int height, Take take) const {
 #pragma unroll 1
-    for (int number = split; number < 1 << (log_across + 5 - plan.log_rows); number += splits) {
-      int const x = tile.x + ((number & ((1 << log_across) - 1)) << plan.log_columns);
-      int const y = tile.y + (number >> log_across << plan.log_rows);
-      if (x < width && y < height)
-        take(x, y, PartBounds<F>(tile, plan, x, y, width, height, PartTiles::kPitch, PartTiles::kRows));
+    for (int number = 0; number < count(); ++number) {
+      int x, y;
+      locate(number, x, y);
+      if (x < width && y < height) take(x, y);
     }
   }
 };
 
-// Samples the parts of a tile whose number is `split` modulo `splits`.
+// Samples the part of a tile at (x0, y0).
 template <class T, class F>
-__device__ __forceinline__ void sample_parts(Sample<T> const& p, TileInParts<F> const& whole, bool aligned, int split,
-                                             int splits, F* memory) {
+__device__ __forceinline__ void sample_whole_part(Sample<T> const& p, TileInParts<F> const& whole, int x0, int y0,
+                                                  bool aligned, F* memory) {
   Tile<F> const& tile = whole.tile;
   PartPlan<F> const& plan = whole.plan;
   int const width = int(p.y.width), height = int(p.y.height);
-  whole.for_each_part(width, height, split, splits, [&](int x0, int y0, PartBounds<F> const& part) {
-    if (part.is_outside(tile, p)) {
-      int const pixels = 1 << (plan.log_columns + plan.log_rows);
-      for (int i = threadIdx.x; i < pixels; i += kThreads) {
-        int const x = x0 + (i & ((1 << plan.log_columns) - 1)), y = y0 + (i >> plan.log_columns);
-        if (x < width && y < height)
-          for (int c = 0; c < p.x.channels; ++c)
-            p.y.row(tile.b, c, y)[x * p.y.step] = round_to<T>(p.fill_value(tile.b, c));
-      }
-      return;
+  PartBounds<F> const part = whole.bounds(x0, y0, width, height);
+  if (part.is_outside(tile, p)) {
+    int const pixels = 1 << (plan.log_columns + plan.log_rows);
+    for (int i = threadIdx.x; i < pixels; i += kThreads) {
+      int const x = x0 + (i & ((1 << plan.log_columns) - 1)), y = y0 + (i >> plan.log_columns);
+      if (x < width && y < height)
+        for (int c = 0; c < p.x.channels; ++c)
+          p.y.row(tile.b, c, y)[x * p.y.step] = round_to<T>(p.fill_value(tile.b, c));
     }
-    for_each_channel_group<kChannelsTogether>(p.x.channels, [&](int first, auto together) {
-      constexpr int N = together.value;
-      stage_part<N>(p, tile, plan, part, aligned, first, memory);
-      dispatch_part<N>(p, tile, plan, part, first, x0, y0, memory);
+    return;
+  }
+  for_each_channel_group<kChannelsTogether>(p.x.channels, [&](int first, auto together) {
+    constexpr int N = together.value;
+    stage_part<N>(p, tile, plan, part, aligned, first, memory);
+    bool failed = false;
+    dispatch_shape(plan, [&](auto across, auto taps) {
+      failed = sample_part<across.value, taps.value, N>(p, tile, plan, part, first, x0, y0, memory);
     });
+    if (failed) resample_part<N>(p, tile, plan, first, x0, y0);
   });
 }
 

@@ -2,7 +2,7 @@
 // no source tile, its pixels from global memory.
 #pragma once
 
-#include "geometry/transform/antialiased/covered_parts.cuh"
+#include "geometry/transform/antialiased/covered_ring.cuh"
 
 namespace kv::geometry::cuda {
 namespace {
@@ -87,20 +87,23 @@ __device__ __noinline__ void sample_unstaged(Sample<T> const& p, Tile<F> const& 
 template <class T>
 __device__ __forceinline__ void sample_tile_in_parts(Sample<T> const& p, TileGrid const& tiles, bool aligned) {
   using F = Compute<T>;
-  __shared__ __align__(16) unsigned char shared_tile[sizeof(TileInParts<F>)];
+  __shared__ __align__(16) unsigned char shared_ring[sizeof(PartsRing<F>)];
   extern __shared__ __align__(16) unsigned char shared_parts[];
-  auto& own = *reinterpret_cast<TileInParts<F>*>(shared_tile);
-  own.init(tiles, p, int(p.y.width), int(p.y.height));
-  if (own.plan.fits)
-    sample_parts(p, own, aligned, int(blockIdx.y), int(gridDim.y), reinterpret_cast<F*>(shared_parts));
+  auto& ring = *reinterpret_cast<PartsRing<F>*>(shared_ring);
+  ring.whole.init(tiles, p, int(p.y.width), int(p.y.height), PartsRing<F>::kLogSide);
+  int const split = int(blockIdx.y), splits = int(gridDim.y);
+  if (ring.whole.plan.fits)
+    sample_parts(p, ring, aligned, split, splits, shared_parts);
   else
-    sample_unstaged(p, own.tile, int(blockIdx.y), int(gridDim.y));
+    sample_unstaged(p, ring.whole.tile, split, splits);
 }
+constexpr int kPartsBytes = PartTiles::bytes(kChannelsTogether);  // of shared memory
 
-// How many blocks share a tile where there are few: about as many as source pixels of a pixel.
+// How many blocks share a tile: where all are at once, about as many as source pixels of a pixel; else so few that each
+// has about eight parts, which are about as many.
 inline unsigned blocks_of_tile(int64_t tiles, int64_t source_pixels, int64_t pixels) {
-  int64_t const at_once = int64_t(multiprocessors()) * kBlocks;
-  return unsigned(clamp(min(source_pixels / pixels, 3 * at_once / tiles), int64_t(1), int64_t(8)));
+  int64_t const at_once = int64_t(multiprocessors()) * kBlocks, parts = source_pixels / pixels;
+  return unsigned(clamp(max(min(parts, at_once / tiles), min(parts / 8, 5 * at_once / tiles)), int64_t(1), int64_t(8)));
 }
 
 }  // namespace

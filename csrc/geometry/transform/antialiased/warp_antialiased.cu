@@ -27,8 +27,7 @@ int sample_antialiased(Sample<T> const& p, CUstream_st* stream) {
   if constexpr (sizeof(T) < 8) {
     if (!p.coords.has_map()) {
       unsigned const splits = blocks_of_tile(tiles.blocks, p.x.height * p.x.width, p.y.height * p.y.width);
-      sample_by_parts<T><<<dim3(tiles.blocks, splits), kThreads, PartTiles::bytes(p.x.channels), stream>>>(
-          p, tiles, rows_are_fours(p.x));
+      sample_by_parts<T><<<dim3(tiles.blocks, splits), kThreads, kPartsBytes, stream>>>(p, tiles, rows_are_fours(p.x));
       return cudaGetLastError();
     }
   }

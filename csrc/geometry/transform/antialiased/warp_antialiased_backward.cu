@@ -247,7 +247,8 @@ __global__ void __launch_bounds__(kThreads, 2)
   F sums[9] = {};
   // Parts of fewer pixels would leave most threads without one.
   if (own.plan.fits && own.plan.log_columns + own.plan.log_rows >= 6)
-    own.for_each_part(width, height, 0, 1, [&](int x0, int y0, PartBounds<F> const& part) {
+    own.for_each_part(width, height, [&](int x0, int y0) {
+      PartBounds<F> const part = own.bounds(x0, y0, width, height);
       if (part.is_outside(own.tile, p)) return;
       for_each_channel_group<kChannelsTogether>(p.x.channels, [&](int first, auto together) {
         constexpr int N = together.value;

@@ -32,7 +32,7 @@ int sample_antialiased_list(SampleList<T> const& p, CUstream_st* stream) {
   }
   constexpr bool kByParts = sizeof(T) < 8;
   unsigned const blocks = kByParts ? blocks_of_tile(p.list.items, source, pixels) : 1;
-  int const bytes = kByParts ? PartTiles::bytes(p.all.x.channels) : 0;
+  int const bytes = kByParts ? kPartsBytes : 0;
   sample_covered_list<T><<<dim3(unsigned(p.list.items), blocks), kThreads, bytes, stream>>>(p);
   return cudaGetLastError();
 }

@@ -147,6 +147,36 @@ def test_it_is_continuous_in_the_matrix(device):
         assert (y[1:] - y[:-1]).abs().max() < 2e-3
 
 
+@pytest.mark.parametrize("width", [132, 131])  # rows that begin with vectors of four pixels, and others
+@pytest.mark.parametrize("factor, degrees", [(1.0, 10.0), (1.6, 77.0), (2.0, 20.0), (4.0, 110.0), (6.0, 200.0)])
+def test_turned_images_are_those_of_float64(factor, degrees, width, device):
+    """Inside and at the border, of channels together and alone, next to numbers that are not finite, and by lists."""
+    x = torch.rand(2, 4, 120, width, generator=torch.Generator().manual_seed(0))
+    spoiled = x.clone()
+    spoiled[0, 1, 50:70:9, 40:80:13] = float("inf")
+    spoiled[1, 3, 57, 71] = float("nan")
+    center = torch.tensor([[width / 2, 60.0]])
+    M = G.get_rotation_matrix2d(
+        center.expand(2, 2), torch.tensor([degrees, degrees + 45]), torch.full((2, 2), 1 / factor)
+    )
+    M[:, :, 2] -= center - torch.tensor([20.0, 22.0])
+    bytes = (255 * x).round().to(torch.uint8)
+    for padding in ("zeros", "border", "reflection"):
+
+        def warp(images: Tensor | list[Tensor], padding: str = padding) -> Tensor:
+            first = images[0]
+            to = torch.float64 if first.dtype == torch.float64 else torch.float32
+            moves = M.to(first.device, to)
+            return G.warp_affine(images, moves, (44, 41), padding_mode=padding, antialias=True)
+
+        for images, tolerance in ((x, 2e-5), (spoiled, 2e-5), (x.half(), 1e-3), (bytes, 0.51)):
+            expected = warp(images.double())
+            ours = warp(images.to(device))
+            torch.testing.assert_close(ours.cpu().double(), expected, rtol=0, atol=tolerance, equal_nan=True)
+            listed = warp(list(images.to(device)))
+            torch.testing.assert_close(listed.cpu().double(), expected, rtol=0, atol=tolerance, equal_nan=True)
+
+
 # --- limits -----------------------------------------------------------------------------------------------------------
 
 

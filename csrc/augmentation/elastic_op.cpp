@@ -86,7 +86,10 @@ std::optional<Tensor> blurred_maps_of_sides(char const* op, Tensor const& parame
   filters::Taps<double> largest{};
   largest.set_gaussian(sigma * double(longest));
   bool const fits = fits_kernel(parameters.scalar_type(), {largest.size, largest.size, 1, 1, {}});
-  if (!fits || sides.empty() || (border != Border::reflect && border != Border::constant)) return {};
+  // Sums of this kernel have another order than those of a batch, whose bits images of one size have.
+  bool is_one_size = true;
+  for (size_t i = 2; i < sides.size(); ++i) is_one_size = is_one_size && sides[i] == sides[i - 2];
+  if (!fits || is_one_size || (border != Border::reflect && border != Border::constant)) return {};
   MapBlock const block(op, parameters.size(0), sides);
   check_chosen(op, chosen, parameters);
   Tensor const scales = dense(parameters), result = block.empty_like(parameters);

@@ -470,7 +470,7 @@ struct Shared {
 };
 
 template <class U, int Steps, bool Planes>
-__global__ void __launch_bounds__(kThreads, Steps == 2 ? 3 : 2)
+__global__ void __launch_bounds__(kThreads, Steps == 2 && Planes ? 3 : 2)
     make_patches_of_bytes(__grid_constant__ VisionPatches<uint8_t> const p, __grid_constant__ Table const table,
                           __grid_constant__ ByteTiles const tiles) {
   extern __shared__ __align__(16) unsigned char memory[];

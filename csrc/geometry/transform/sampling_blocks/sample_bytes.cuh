@@ -1,4 +1,4 @@
-// What a block of threads samples of bytes on CUDA, bilinearly and in fixed point. The source tile has a
+// What a block of threads samples of bytes by a matrix on CUDA, bilinearly and in fixed point. The source tile has a
 // word for each pixel, whose bytes are up to four of its channels: a tap is one load, and two instructions add the four
 // taps of a channel. The result of a pixel depends on neither tiles nor the alignment of rows.
 // Special case: bytes. H200: 1.5 (335x513) to 1.6 (336x512) times as fast as the tiles of any type, 3 and more in
@@ -12,7 +12,7 @@
 namespace kv::geometry::cuda {
 namespace {
 
-constexpr int kByteBlocks = 4, kByteMapBlocks = 3;  // on a multiprocessor at once
+constexpr int kByteBlocks = 4;  // on a multiprocessor at once
 
 // --- fixed point -----------------------------------------------------------------------------------------------------
 
@@ -30,10 +30,6 @@ __device__ __forceinline__ bool is_dyadic(Homography<float> const& map) {
 #pragma unroll
   for (int i = 0; i < 6; ++i) dyadic = dyadic && vfloor(map.m[i] * 16) == map.m[i] * 16;
   return dyadic;
-}
-
-__device__ __forceinline__ bool is_dyadic(float u, float v) {
-  return vfloor(u * 16) == u * 16 && vfloor(v * 16) == v * 16;
 }
 
 // The weights of four taps: 16 bits for each of the two pixels of a row. They are not negative and add up to 2^16 - 1.
@@ -61,15 +57,13 @@ struct ByteWeights {
 template <int N>
 __device__ __noinline__ void sample_bytes_unstaged(Sample<uint8_t> const& p, Tile<float> const& tile, int first, int y,
                                                    int x) {
-  bool const mapped = p.coords.has_map();
   float u, v;
-  TileCoords<float>(p.coords, tile).near(y, x, u, v);
-  if (mapped) u = clamped(p.x_axis, u), v = clamped(p.y_axis, v);
+  tile.map.apply(float(x - tile.x), float(y - tile.y), u, v);
   int const to_u = __float2int_rn(u * (1 << kCoordBits)), to_v = __float2int_rn(v * (1 << kCoordBits));
   int const column = (to_u >> kCoordBits) + tile.u, row = (to_v >> kCoordBits) + tile.v;
-  bool const is_near = vabs(u) < 32768 && vabs(v) < 32768, dyadic = mapped ? is_dyadic(u, v) : is_dyadic(tile.map);
+  bool const is_near = vabs(u) < 32768 && vabs(v) < 32768;
   bool const inside = column >= 0 && row >= 0 && column < p.x_axis.size - 1 && row < p.y_axis.size - 1;
-  if (!is_near || dyadic || (!inside && (p.fill || p.x_axis.padding == Padding::reflection))) {
+  if (!is_near || is_dyadic(tile.map) || (!inside && (p.fill || p.x_axis.padding == Padding::reflection))) {
     sample_unstaged<2, N>(p, tile, first, y, x);
     return;
   }
@@ -164,8 +158,8 @@ struct ByteSource {
     }
   }
 
-  // N channels from `first` on. Of aligned rows a thread has that many loads before the first of them is waited for.
-  template <int N, int Loads = 4>
+  // N channels from `first` on.
+  template <int N>
   __device__ __forceinline__ void stage(Images<uint8_t const> const& x, int64_t image, int first,
                                         Axis<float> const& x_axis, Axis<float> const& y_axis) const {
     __syncthreads();  // before the current contents are overwritten
@@ -178,12 +172,12 @@ struct ByteSource {
     }
     bool const aligned = bits % kGroup == 0;
     if (x.step == 1 && x_axis.size >= kGroup) {
-      aligned ? stage_groups<N, Loads, true, false>(planes, int(x.row_stride), x_axis, y_axis)
-              : stage_groups<N, 2, false, false>(planes, int(x.row_stride), x_axis, y_axis);
+      aligned ? stage_groups<N, true, false>(planes, int(x.row_stride), x_axis, y_axis)
+              : stage_groups<N, false, false>(planes, int(x.row_stride), x_axis, y_axis);
     } else if (N == 3 && x.step == 3 && x.channel_stride == 1 && x_axis.size >= kGroup) {
       if constexpr (N == 3)
-        aligned ? stage_groups<N, Loads, true, true>(planes, int(x.row_stride), x_axis, y_axis)
-                : stage_groups<N, 2, false, true>(planes, int(x.row_stride), x_axis, y_axis);
+        aligned ? stage_groups<N, true, true>(planes, int(x.row_stride), x_axis, y_axis)
+                : stage_groups<N, false, true>(planes, int(x.row_stride), x_axis, y_axis);
     } else {
       stage_pixels<N>(planes, int(x.row_stride), int(x.step), x_axis, y_axis);
     }
@@ -192,9 +186,10 @@ struct ByteSource {
 
   // A thread takes groups of a column, as many threads side by side as the tile has columns of groups. A group that is
   // not all inside of the image is the outermost one that is, moved.
-  template <int N, int Loads, bool Aligned, bool Interleaved>
+  template <int N, bool Aligned, bool Interleaved>
   __device__ __forceinline__ void stage_groups(uint8_t const* const (&planes)[N], int row_stride,
                                                Axis<float> const& x_axis, Axis<float> const& y_axis) const {
+    constexpr int kLoads = Aligned ? 4 : 2;  // before the first of them is waited for
     constexpr int kSources = Interleaved ? 1 : N, kWords = 2 * N / kSources;
     int const across = (columns + kGroup - 1) / kGroup;
     int const first_row = int((float(threadIdx.x) + 0.5f) * __frcp_rn(float(across)));
@@ -206,18 +201,18 @@ struct ByteSource {
     int const offset = start * (Interleaved ? N : 1);
     uint32_t* to = words + (first_row * kPitch + column);
 #pragma unroll 1
-    for (int row = first_row; row < rows; row += Loads * rows_at_once) {
-      uint32_t loaded[Loads][kSources][kWords + !Aligned];
-      int at[Loads];
+    for (int row = first_row; row < rows; row += kLoads * rows_at_once) {
+      uint32_t loaded[kLoads][kSources][kWords + !Aligned];
+      int at[kLoads];
 #pragma unroll
-      for (int i = 0; i < Loads; ++i) {
+      for (int i = 0; i < kLoads; ++i) {
         int const y = clamp(top + min(row + i * rows_at_once, rows - 1), 0, y_axis.size - 1);
         at[i] = y * row_stride + offset;
 #pragma unroll
         for (int k = 0; k < kSources; ++k) load<kWords, Aligned>(planes[k] + at[i], loaded[i][k]);
       }
 #pragma unroll
-      for (int i = 0; i < Loads; ++i) {
+      for (int i = 0; i < kLoads; ++i) {
         int const own = row + i * rows_at_once;
         if (own >= rows) break;
         uint32_t bytes[2 * N], pixels[kGroup];
@@ -535,87 +530,6 @@ struct ByteBlock {
     }
   }
 };
-
-// --- maps ------------------------------------------------------------------------------------------------------------
-
-// A tile by a map, of which each thread has four pixels. The tile and the box of its taps, which is empty, are in
-// shared memory.
-template <bool Wide>
-__device__ __forceinline__ void sample_byte_tile(Sample<uint8_t> const& p, void* memory, Tile<float> const& tile,
-                                                 TapBounds& box) {
-  BytePixels<Wide, 1> const own(p, tile.b, 0, tile.x);
-  int const y = tile.y + int(threadIdx.x) / 32 * 4 + (Wide ? int(threadIdx.x) % 32 / 8 : 0);
-  float u[4], v[4];
-#pragma unroll
-  for (int i = 0; i < 4; ++i) {
-    // Threads beyond the image have its last pixels.
-    MapColumn<float>(p.coords, tile.b, min(own.row(y, i), own.height - 1), own.column(i)).at(0, u[i], v[i]);
-    u[i] = clamped(p.x_axis, u[i]);
-    v[i] = clamped(p.y_axis, v[i]);
-  }
-  constexpr float kRounding = 0.5f / (1 << kCoordBits);
-  float t;
-  TapBounds bounds{near_tap<2>(fminf(fminf(u[0], u[1]), fminf(u[2], u[3])), t),
-                   near_tap<2>(fminf(fminf(v[0], v[1]), fminf(v[2], v[3])), t),
-                   near_tap<2>(fmaxf(fmaxf(u[0], u[1]), fmaxf(u[2], u[3])) + kRounding, t) + 1,
-                   near_tap<2>(fmaxf(fmaxf(v[0], v[1]), fmaxf(v[2], v[3])) + kRounding, t) + 1};
-  bounds.merge_lanes<32>();
-  if (threadIdx.x % 32 == 0) {
-    atomicMin(&box.left, bounds.left);
-    atomicMin(&box.top, bounds.top);
-    atomicMax(&box.right, bounds.right);
-    atomicMax(&box.bottom, bounds.bottom);
-  }
-  __syncthreads();
-  int const left = box.left, top = box.top;
-  ByteSource const source(memory, {0, 0, box.right - left, box.bottom - top}, left, top, p);
-  for_each_channel_group<3>(p.x.channels, [&](int first, auto channels) {
-    constexpr int N = channels.value;
-    if (source.fits) source.stage<N, 2>(p.x, tile.image, first, p.x_axis, p.y_axis);
-    if (own.x >= own.width || y >= own.height) return;
-    if (!source.fits) {
-#pragma unroll 1
-      for (int i = 0; i < 4; ++i) {
-        int const at_x = own.x + (Wide ? i : 0), at_y = y + (Wide ? 0 : i);
-        if (at_x < own.width && at_y < own.height) sample_bytes_unstaged<N>(p, tile, first, at_y, at_x);
-      }
-      return;
-    }
-    float const from_left = 384.f - float(left), from_top = 384.f - float(top);
-    int const origin = source.origin(left, top);
-    uint32_t means[4][N];
-#pragma unroll
-    for (int i = 0; i < 4; ++i) {
-      uint32_t const fixed_u = __float_as_uint(u[i] + from_left), fixed_v = __float_as_uint(v[i] + from_top);
-      bool const may_be_dyadic = ((fixed_u | fixed_v) & ((1 << (kCoordBits - 4)) - 1)) == 0;
-      if (may_be_dyadic && is_dyadic(u[i], v[i]))
-        byte_means<N, true>(source.words, origin, fixed_u, fixed_v, means[i]);
-      else
-        byte_means<N, false>(source.words, origin, fixed_u, fixed_v, means[i]);
-    }
-    BytePixels<Wide, N>(p, tile.b, first, tile.x).store(y, means);
-  });
-}
-
-// The block's tiles.
-template <bool Wide>
-__device__ __forceinline__ void sample_byte_tiles_of_maps(Sample<uint8_t> const& p, void* memory,
-                                                          TileGrid const& tiles) {
-  __shared__ Tile<float> tile;
-  __shared__ TapBounds box;
-#pragma unroll 1
-  for (int number = 0; number < int(tiles.per_block); ++number) {
-    __syncthreads();  // before the tile is overwritten
-    if (threadIdx.x == 0) {
-      tile.locate(tiles, number);
-      tile.image = p.image_of(min(tile.b, p.y.batch - 1));
-      box = TapBounds::empty();
-    }
-    __syncthreads();
-    if (tile.x >= p.y.width || tile.b >= p.y.batch) break;
-    sample_byte_tile<Wide>(p, memory, tile, box);
-  }
-}
 
 // Whether the bytes of a row of results are adjacent, those that a block has at a time.
 KV_HD bool rows_are_dense(Images<uint8_t> const& y) {

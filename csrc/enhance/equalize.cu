@@ -73,6 +73,20 @@ __device__ __forceinline__ void store_values(T* to, typename Table<T>::Value con
   }
 }
 
+// The count of a level in all parts of a plane, of that of a block's part; thread i < kLevels has level i. Parts are
+// the blocks of a cluster, which must wait for it once more before they end, as they read each other's totals.
+__device__ __forceinline__ int count_of_plane(int count, int32_t (&totals)[kLevels], unsigned parts) {
+  if (parts <= 1) return count;
+  int const t = int(threadIdx.x);
+  if (t < kLevels) totals[t] = count;
+  cluster_arrive();
+  cluster_wait();
+  count = 0;
+  for (unsigned rank = 0; t < kLevels && rank < parts; ++rank) count += load_of_block(&totals[t], rank);
+  cluster_arrive();
+  return count;
+}
+
 // Builds the table in `memory` from the counts; thread i < kLevels has the count of level i. False if the plane stays
 // unchanged.
 template <class Table>
@@ -142,15 +156,7 @@ __device__ __forceinline__ void equalize_part(Equalize<T> const& p, unsigned blo
     *reinterpret_cast<Vector<unsigned char, N>*>(levels + i) = bytes;
   });
   has_nan = __syncthreads_or(has_nan);
-  int count = t < kLevels ? counter[t] : 0;
-  if (parts > 1) {
-    if (t < kLevels) totals[t] = count;
-    cluster_arrive();
-    cluster_wait();
-    count = 0;
-    for (unsigned rank = 0; t < kLevels && rank < parts; ++rank) count += load_of_block(&totals[t], rank);
-    cluster_arrive();  // no block ends before all others have read its totals
-  }
+  int const count = count_of_plane(t < kLevels ? counter[t] : 0, totals, parts);
   __syncthreads();
   int counted;
   bool const changes = make_table<Table<T>>(count, p.opencv, memory, counted);
@@ -248,15 +254,7 @@ __device__ __forceinline__ void equalize_bytes_part(Equalize<uint8_t> const& p, 
     for (int k = 0; k < 16; ++k) lanes.add(byte_of(vectors[i].v[k / 4], k % 4));
   }
   __syncthreads();
-  int count = t < kLevels ? lanes.count_of(t) : 0;
-  if (parts > 1) {
-    if (t < kLevels) totals[t] = count;
-    cluster_arrive();
-    cluster_wait();
-    count = 0;
-    for (unsigned rank = 0; t < kLevels && rank < parts; ++rank) count += load_of_block(&totals[t], rank);
-    cluster_arrive();  // no block ends before all others have read its totals
-  }
+  int const count = count_of_plane(t < kLevels ? lanes.count_of(t) : 0, totals, parts);
   int counted;  // make_table waits for all threads before it writes
   bool const changes = make_table<ByteLanes>(count, p.opencv, memory, counted);
   if (part == 0 && t == 0 && p.changed) p.changed[plane] = change_of_plane<uint8_t>(changes, false);

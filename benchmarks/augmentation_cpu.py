@@ -44,6 +44,20 @@ def normalized(augment: Callable[[Tensor], Tensor]) -> Callable[[Tensor], Tensor
 
 
 JITTER = {"brightness_range": (0.8, 1.2), "contrast_range": (0.8, 1.2), "saturation_range": (0.8, 1.2)}
+PIPELINE = Pair(
+    "A: crop, flip, jitter, normalize",
+    lambda n: normalized(
+        A.ImageSequential(A.RandomResizedCrop((n, n)), A.RandomHorizontalFlip(), A.ColorJitter(0.2, 0.2, 0.2, 0.1))
+    ),
+    lambda B, n: B.Compose(
+        [
+            B.RandomResizedCrop((n, n)),
+            B.HorizontalFlip(),
+            B.ColorJitter(**JITTER, hue_range=(-0.1, 0.1), p=1),
+            B.Normalize(MEAN, STD),
+        ]
+    ),
+)
 PAIRS = [
     Pair("horizontal flip", lambda n: A.RandomHorizontalFlip(p=1.0), lambda B, n: B.HorizontalFlip(p=1)),
     Pair("rotation", lambda n: A.RandomRotation(30.0, p=1.0), lambda B, n: B.Rotate(angle_range=(-30, 30), p=1)),
@@ -74,20 +88,7 @@ PAIRS = [
     Pair("normalize", lambda n: A.Normalize(MEAN, STD), lambda B, n: B.Normalize(MEAN, STD)),
     Pair("equalize", lambda n: A.RandomEqualize(p=1.0), lambda B, n: B.Equalize(p=1)),
     Pair("solarize", lambda n: A.RandomSolarize(0.1, 0.0, p=1.0), lambda B, n: B.Solarize((0.4, 0.6), p=1)),
-    Pair(
-        "A: crop, flip, jitter, normalize",
-        lambda n: normalized(
-            A.ImageSequential(A.RandomResizedCrop((n, n)), A.RandomHorizontalFlip(), A.ColorJitter(0.2, 0.2, 0.2, 0.1))
-        ),
-        lambda B, n: B.Compose(
-            [
-                B.RandomResizedCrop((n, n)),
-                B.HorizontalFlip(),
-                B.ColorJitter(**JITTER, hue_range=(-0.1, 0.1), p=1),
-                B.Normalize(MEAN, STD),
-            ]
-        ),
-    ),
+    PIPELINE,
 ]
 
 

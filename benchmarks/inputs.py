@@ -37,6 +37,7 @@ import kvision as K
 import kvision.augmentation as A
 from benchmarks import machine, results
 from benchmarks.augmentation import JITTER, MEAN, STD
+from benchmarks.augmentation_cpu import PIPELINE
 from benchmarks.case import dead_leaves
 from benchmarks.host_time import microseconds
 from benchmarks.peers import optional, set_threads
@@ -326,13 +327,42 @@ class Nothing(torch.autograd.Function):
 
 def of_lists_on_cpu(setup: Setup) -> Iterator[Figure]:
     resize = partial(K.geometry.resize, size=CROP)
-    for name, images, bar in (
-        ("32 images of 64 to 128", setup.images(32, 64, 128), 1.3),
-        ("8 images of 280 to 700", setup.images(8, 280, 700), 1.0),
-    ):
+    small = setup.images(32, 64, 128)
+    photographs = setup.images(32, 280, 700)
+    for name, images, bar in (("32 images of 64 to 128", small, 1.3), ("8 images of 280 to 700", photographs[:8], 1.0)):
         of_list, of_loop = setup.seconds_of([partial(resize, images), partial(one_by_one, resize, images)])
         yield Figure("lists", f"resize of {name}", 1e3 * of_list, "ms")
         yield Figure("lists", f"resize of {name}, loop over single images, over that", of_loop / of_list, "", bar, True)
+    big = F.interpolate(photographs[0][None], (3000, 4000))[0]
+    one, two = setup.seconds_of([partial(in_threads, count, partial(resize, [big, *small[1:]])) for count in (1, 2)])
+    yield Figure("lists", "resize of one of 4000x3000 among 31 of 64 to 128", 1e3 * one, "ms")
+    yield Figure("lists", "one of 4000x3000 among 31, two threads, over that", one / two, "", 1.6, True)
+    augment = augmentation()
+    for name, peer in (
+        ("torchvision v2", torchvision_v2(photographs, False)),
+        ("AlbumentationsX", albumentations(photographs)),
+    ):
+        if peer is not None:
+            of_list, of_peer = setup.seconds_of([partial(augment, photographs), peer])
+            yield Figure("lists", f"crop, flip, jitter, normalize of 32 beside {name}", 1e3 * of_list, "ms")
+            yield Figure("lists", f"{name}, loop over single images, over that", of_peer / of_list, "", 2.0, True)
+
+
+def in_threads(count: int, call: Callable[[], Any]) -> None:
+    before = torch.get_num_threads()
+    set_threads(count)
+    call()
+    set_threads(before)
+
+
+def albumentations(images: list[Tensor]) -> Callable[[], Tensor] | None:
+    """The same pipeline in AlbumentationsX, whose images are arrays (H, W, C); None where it is not installed."""
+    library = optional("albumentations")
+    if library is None:
+        return None
+    transform = PIPELINE.theirs(library, CROP[0])
+    arrays = [image.permute(1, 2, 0).contiguous().numpy() for image in images]
+    return lambda: torch.stack([torch.from_numpy(transform(image=array)["image"]) for array in arrays])
 
 
 def torchvision_v2(images: list[Tensor], antialias: bool) -> Callable[[], Tensor] | None:

@@ -2,6 +2,7 @@
 // state in registers. For other windows, and for channels-last images, a thread reads the window of one element.
 #include "core/launch.cuh"
 #include "core/nan_min_max.cuh"
+#include "core/stencils/pairs.cuh"
 #include "geometry/subpix/nms.h"
 
 namespace kv::geometry::cuda {
@@ -81,35 +82,18 @@ template <bool Larger>
 __device__ __forceinline__ float extreme(float a, float b) {
   return Larger ? nan_max(a, b) : nan_min(a, b);
 }
-// The same of two words that hold two numbers each.
 template <bool Larger, class T>
-__device__ __forceinline__ uint32_t extremes_of_words(uint32_t a, uint32_t b) {
-  uint32_t y;
-#if defined(__CUDA_ARCH__) && __CUDA_ARCH__ < 800
-  Vector<T, 2> of_a, of_b;
-  __builtin_memcpy(&of_a, &a, 4), __builtin_memcpy(&of_b, &b, 4);
-  for (int i = 0; i < 2; ++i) of_a.v[i] = round_to<T>(extreme<Larger>(read(of_a.v[i]), read(of_b.v[i])));
-  __builtin_memcpy(&y, &of_a, 4);
-#else
-  if constexpr (__is_same(T, Half) && Larger)
-    asm("max.NaN.f16x2 %0, %1, %2;" : "=r"(y) : "r"(a), "r"(b));
-  else if constexpr (__is_same(T, Half))
-    asm("min.NaN.f16x2 %0, %1, %2;" : "=r"(y) : "r"(a), "r"(b));
-  else if constexpr (Larger)
-    asm("max.NaN.bf16x2 %0, %1, %2;" : "=r"(y) : "r"(a), "r"(b));
-  else
-    asm("min.NaN.bf16x2 %0, %1, %2;" : "=r"(y) : "r"(a), "r"(b));
-#endif
-  return y;
+__device__ __forceinline__ Pair<T> extreme(Pair<T> a, Pair<T> b) {
+  return Larger ? upper(a, b) : lower(a, b);
 }
 template <bool Larger, class T, int N>
 __device__ __forceinline__ Vector<T, N> extremes(Vector<T, N> const& a, Vector<T, N> const& b) {
   Vector<T, N> y;
   if constexpr (sizeof(T) == 2 && N % 2 == 0) {
-    uint32_t of_a[N / 2], of_b[N / 2];
+    Pair<T> of_a[N / 2], of_b[N / 2];
     __builtin_memcpy(of_a, &a, sizeof(a)), __builtin_memcpy(of_b, &b, sizeof(b));
 #pragma unroll
-    for (int i = 0; i < N / 2; ++i) of_a[i] = extremes_of_words<Larger, T>(of_a[i], of_b[i]);
+    for (int i = 0; i < N / 2; ++i) of_a[i] = extreme<Larger>(of_a[i], of_b[i]);
     __builtin_memcpy(&y, of_a, sizeof(y));
   } else {
 #pragma unroll

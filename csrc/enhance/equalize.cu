@@ -4,6 +4,7 @@
 #include "byte_histogram.cuh"
 #include "core/cluster.cuh"
 #include "core/stencils/filter_list.cuh"
+#include "core/stencils/gradient_list.cuh"
 #include "equalize.h"
 
 namespace kv::enhance::cuda {
@@ -161,7 +162,7 @@ __device__ __forceinline__ void equalize_part(Equalize<T> const& p, unsigned blo
   int counted;
   bool const changes = make_table<Table<T>>(count, p.opencv, memory, counted);
   Table<T> const table{reinterpret_cast<typename Table<T>::Value*>(memory)};
-  if (part == 0 && t == 0 && p.changed) p.changed[plane] = change_of_plane<T>(changes, counted < p.x.width);
+  if (part == 0 && t == 0) p.changed[plane] = change_of_plane<T>(changes, counted < p.x.width);
 
   if (has_nan || !changes) {  // a byte cannot represent NaN
     map_pixels<P>(p, plane, begin, end, changes, table);
@@ -257,7 +258,7 @@ __device__ __forceinline__ void equalize_bytes_part(Equalize<uint8_t> const& p, 
   int const count = count_of_plane(t < kLevels ? lanes.count_of(t) : 0, totals, parts);
   int counted;  // make_table waits for all threads before it writes
   bool const changes = make_table<ByteLanes>(count, p.opencv, memory, counted);
-  if (part == 0 && t == 0 && p.changed) p.changed[plane] = change_of_plane<uint8_t>(changes, false);
+  if (part == 0 && t == 0) p.changed[plane] = change_of_plane<uint8_t>(changes, false);
 
   body.for_each_peeled([&](int i) { y[i] = changes ? uint8_t(lanes[x[i]]) : x[i]; });
 #pragma unroll
@@ -342,7 +343,7 @@ __device__ __forceinline__ void map_chunk(Equalize<T> const& p, unsigned block, 
   int const count = threadIdx.x < kLevels ? p.counts[int64_t(plane) * kLevels + threadIdx.x] : 0;
   int counted;
   bool const changes = make_table<Table<T>>(count, p.opencv, memory, counted);
-  if (begin == 0 && threadIdx.x == 0 && p.changed) p.changed[plane] = change_of_plane<T>(changes, counted < p.x.width);
+  if (begin == 0 && threadIdx.x == 0) p.changed[plane] = change_of_plane<T>(changes, counted < p.x.width);
   map_pixels<P>(p, plane, int(begin), int(min(begin + each, p.x.width)), changes,
                 Table<T>{reinterpret_cast<typename Table<T>::Value*>(memory)});
 }
@@ -372,11 +373,12 @@ __global__ void __launch_bounds__(kThreads, kBlocks<T>)
 }
 
 // The gradient is read only where it passes: nowhere, for most planes.
-template <class T, int P>
-__global__ void __launch_bounds__(kThreads) equalize_gradients(EqualizeBackward<T> p, unsigned chunks, int each) {
+template <int P, class T>
+__device__ __forceinline__ void gradients_of_chunk(EqualizeBackward<T> const& p, unsigned block, unsigned chunks,
+                                                   int each) {
   using F = Compute<T>;
-  unsigned const plane = blockIdx.x / chunks;
-  int64_t const begin = int64_t(blockIdx.x % chunks) * each;
+  unsigned const plane = block / chunks;
+  int64_t const begin = int64_t(block % chunks) * each;
   int const end = int(min(begin + each, p.grad.width));
   Change const change = p.changed ? Change(int(read(p.changed[plane]))) : Change::but_nan;
   T const* const grad = p.grad.plane(plane);
@@ -390,7 +392,6 @@ __global__ void __launch_bounds__(kThreads) equalize_gradients(EqualizeBackward<
     return;
   }
   bool const stays = change == Change::none;
-  Planes<T const> const& source = stays ? p.grad : p.output;
   auto const store_gradients = [&](auto const& vector, int i) {
     constexpr int N = sizeof(vector) / sizeof(T);
     F v[N];
@@ -402,7 +403,30 @@ __global__ void __launch_bounds__(kThreads) equalize_gradients(EqualizeBackward<
     }
     store_vector(grad_x + i * p.grad_x.step, v);
   };
-  for_each_vector<kThreads, P>(source.plane(plane), source.step, int(begin), end, store_gradients);
+  for_each_vector<kThreads, P>(stays ? grad : p.x.plane(plane), stays ? p.grad.step : p.x.step, int(begin), end,
+                               store_gradients);
+}
+
+// Pixels of a chunk of gradients.
+template <class T>
+constexpr int kGradients = kThreads * kPixels<T> * 8;
+template <class T>
+KV_HD unsigned gradient_chunks(int64_t pixels) {
+  return unsigned(ceil_div(pixels, int64_t(kGradients<T>)));
+}
+
+template <class T, int P>
+__global__ void __launch_bounds__(kThreads) equalize_gradients(EqualizeBackward<T> p, unsigned chunks) {
+  gradients_of_chunk<P>(p, blockIdx.x, chunks, kGradients<T>);
+}
+template <class T, int P>
+__global__ void __launch_bounds__(kThreads)
+    equalize_gradients_of_list(__grid_constant__ EqualizeBackwardList<T> const p) {
+  unsigned block;
+  EqualizeBackward<T> const* const one = sample_of_block(p, block);
+  if (!one) return;
+  EqualizeBackward<T> const flat = flat_gradients(*one);
+  gradients_of_chunk<P>(flat, block, gradient_chunks<T>(flat.x.width), kGradients<T>);
 }
 
 // Pixels of a chunk: few enough for several blocks on every multiprocessor, so many that the tables cost little.
@@ -434,6 +458,11 @@ struct Division {
     by_clusters = !few && each <= max_pixels;
   }
 };
+
+template <class T>
+bool are_gradients_aligned(EqualizeBackward<T> const& p) {
+  return are_equally_aligned<kPixels<T>>(p.grad_x, p.grad) && are_equally_aligned<kPixels<T>>(p.grad_x, p.x);
+}
 
 int64_t max_pixels_of_memory() { return min(kMaxPixels, max_shared_bytes() - kCountBytes - 4096); }
 
@@ -517,18 +546,32 @@ int equalize_list(EqualizeList<T> const& p, CUstream_st* stream) {
 
 template <class T>
 int equalize_backward(EqualizeBackward<T> const& p, CUstream_st* stream) {
-  int64_t const planes = p.grad.count(), each = kThreads * kPixels<T> * 8;
-  unsigned const chunks = unsigned(ceil_div(p.grad.width, each)), blocks = unsigned(planes) * chunks;
-  bool const equally_aligned =
-      are_equally_aligned<kPixels<T>>(p.grad_x, p.grad) && are_equally_aligned<kPixels<T>>(p.grad_x, p.output);
-  with_row_vectors<kRowVector<T>>(equally_aligned, [&](auto pixels) {
-    equalize_gradients<T, pixels.value><<<blocks, kThreads, 0, stream>>>(p, chunks, int(each));
+  unsigned const chunks = gradient_chunks<T>(p.grad.width), blocks = unsigned(p.grad.count()) * chunks;
+  with_row_vectors<kRowVector<T>>(are_gradients_aligned(p), [&](auto pixels) {
+    equalize_gradients<T, pixels.value><<<blocks, kThreads, 0, stream>>>(p, chunks);
   });
   return cudaGetLastError();
+}
+
+template <class T>
+int equalize_list_backward(EqualizeBackwardList<T> const& p, CUstream_st* stream) {
+  bool const aligned =
+      all_gradients(p, [](EqualizeBackward<T> const& one) { return are_gradients_aligned(flat_gradients(one)); });
+  return launch_gradients(
+      p,
+      [&](EqualizeBackward<T> const& one) {
+        return p.channels * int64_t(gradient_chunks<T>(one.x.height * one.x.width));
+      },
+      [&](EqualizeBackwardList<T> const& list, unsigned blocks) {
+        with_row_vectors<kRowVector<T>>(aligned, [&](auto pixels) {
+          equalize_gradients_of_list<T, pixels.value><<<blocks, kThreads, 0, stream>>>(list);
+        });
+      });
 }
 
 KV_INSTANTIATE_WITH_BYTES(equalize, Equalize)
 KV_INSTANTIATE_WITH_BYTES(equalize_list, EqualizeList)
 KV_INSTANTIATE(equalize_backward, EqualizeBackward)
+KV_INSTANTIATE(equalize_list_backward, EqualizeBackwardList)
 
 }  // namespace kv::enhance::cuda

@@ -100,7 +100,7 @@ void equalize(Equalize<T> const& p, int64_t begin, int64_t end) {
         for (int i = 0; i < kLevels; ++i) count[i] += p.counts[(plane * p.parts + k) * kLevels + i];
       changed = make_table(count, p.opencv, table, counted);
       Change const change = !changed ? Change::none : counted == pixels ? Change::all : Change::but_nan;
-      if (part == 0 && p.changed) store<1>(p.changed + plane, Compute<T>(int(change)));
+      if (part == 0) store<1>(p.changed + plane, Compute<T>(int(change)));
     }
     T const* const x = p.x.plane(plane);
     T* const y = p.y.plane(plane);
@@ -139,21 +139,21 @@ void equalize_list(EqualizeList<T> const& p, int64_t begin, int64_t end) {
 template <class T>
 void equalize_backward(EqualizeBackward<T> const& p, int64_t begin, int64_t end) {
   using F = Compute<T>;
-  int64_t const from = p.grad.step, of = p.output.step, to = p.grad_x.step;
+  int64_t const from = p.grad.step, of = p.x.step, to = p.grad_x.step;
   for (int64_t plane = begin; plane < end; ++plane) {
     T const* const g = p.grad.plane(plane);
-    T const* const y = p.output.plane(plane);
-    T* const x = p.grad_x.plane(plane);
+    T const* const x = p.x.plane(plane);
+    T* const grad_x = p.grad_x.plane(plane);
     Change const change = p.changed ? Change(int(load<1>(p.changed + plane))) : Change::but_nan;
     auto const pixels = [&](auto width, int64_t i) {
       constexpr int N = decltype(width)::value;
       Lanes<F, N> v{};
       if (change == Change::none) v = load<N>(g + i * from);
       if (change == Change::but_nan) {
-        Lanes<F, N> const out = load<N>(y + i * of);
-        v = out == out ? v : load<N>(g + i * from);
+        Lanes<F, N> const own = load<N>(x + i * of);
+        v = own == own ? v : load<N>(g + i * from);
       }
-      store<N>(x + i * to, v);
+      store<N>(grad_x + i * to, v);
     };
     if (from == 1 && of == 1 && to == 1)
       for_each_vector<T>(0, p.grad.width, pixels);
@@ -162,9 +162,17 @@ void equalize_backward(EqualizeBackward<T> const& p, int64_t begin, int64_t end)
   }
 }
 
+template <class T>
+void equalize_list_backward(EqualizeBackwardList<T> const& p, int64_t begin, int64_t end) {
+  channel_gradient_items(p, begin, end, [](EqualizeBackward<T> const& one, int64_t first, int64_t last) {
+    KV_ISA::equalize_backward(one, first, last);
+  });
+}
+
 KV_INSTANTIATE_WITH_BYTES(equalize, Equalize)
 KV_INSTANTIATE_WITH_BYTES(equalize_list, EqualizeList)
 KV_INSTANTIATE_WITH_BYTES(equalize_counts, Equalize)
 KV_INSTANTIATE(equalize_backward, EqualizeBackward)
+KV_INSTANTIATE(equalize_list_backward, EqualizeBackwardList)
 
 }  // namespace kv::enhance::KV_ISA

@@ -4,6 +4,7 @@
 #include "byte_histogram.cuh"
 #include "core/product.h"
 #include "core/stencils/filter_list.cuh"
+#include "core/stencils/gradient_list.cuh"
 #include "min_max.h"
 
 namespace kv::enhance::cuda {
@@ -94,7 +95,7 @@ __device__ __forceinline__ void map_chunk(MinMax<T> const& p, ChunkPosition cons
   auto const range = of_plane<Range<F>>(p.partial + 2 * at.plane * p.chunks, p.chunks);
   F const smallest = range.smallest, factor = p.scale / (range.largest - smallest + p.eps);
   bool const stays = p.keeps_flat && smallest == range.largest;
-  if (at.chunk == 0 && threadIdx.x == 0 && p.range) {
+  if (at.chunk == 0 && threadIdx.x == 0) {
     p.range[2 * at.plane] = round_to<T>(smallest);
     p.range[2 * at.plane + 1] = round_to<T>(range.largest);
   }
@@ -136,10 +137,10 @@ __global__ void __launch_bounds__(kThreads) range_of_list(__grid_constant__ MinM
     find_range_of_chunk<P>(flat, at, block);
 }
 
-template <class T, int P>
-__global__ void __launch_bounds__(kThreads) find_sums(MinMaxBackward<T> p) {
+// The sums of a chunk, to place `to` of the partial ones.
+template <int P, class T>
+__device__ __forceinline__ void find_sums_of_chunk(MinMaxBackward<T> const& p, ChunkPosition const& at, unsigned to) {
   using F = Compute<T>;
-  ChunkPosition const at(blockIdx.x, p.chunk, p.chunks, p.x.width);
   F const smallest = read(p.range[2 * at.plane]), largest = read(p.range[2 * at.plane + 1]);
   T const* const grad = p.grad.plane(at.plane);
   Sums<F> sums{};
@@ -153,13 +154,12 @@ __global__ void __launch_bounds__(kThreads) find_sums(MinMaxBackward<T> p) {
     }
   });
   sums = of_block(sums);
-  if (threadIdx.x == 0) reinterpret_cast<Sums<F>*>(p.partial)[blockIdx.x] = sums;
+  if (threadIdx.x == 0) reinterpret_cast<Sums<F>*>(p.partial)[to] = sums;
 }
 
-template <class T, int P>
-__global__ void __launch_bounds__(kThreads) map_gradient(MinMaxBackward<T> p) {
+template <int P, class T>
+__device__ __forceinline__ void map_gradient_of_chunk(MinMaxBackward<T> const& p, ChunkPosition const& at) {
   using F = Compute<T>;
-  ChunkPosition const at(gridDim.x - 1 - blockIdx.x, p.chunk, p.chunks, p.x.width);
   F const smallest = read(p.range[2 * at.plane]), largest = read(p.range[2 * at.plane + 1]);
   bool const stays = p.keeps_flat && smallest == largest;
   RangeGradient<F> const to(of_plane<Sums<F>>(p.partial + 4 * at.plane * p.chunks, p.chunks), smallest, largest,
@@ -179,6 +179,31 @@ __global__ void __launch_bounds__(kThreads) map_gradient(MinMaxBackward<T> p) {
     }
     store_vector(grad_x + i * p.grad_x.step, v);
   });
+}
+
+template <class T, int P>
+__global__ void __launch_bounds__(kThreads) find_sums(MinMaxBackward<T> p) {
+  find_sums_of_chunk<P>(p, {blockIdx.x, p.chunk, p.chunks, p.x.width}, blockIdx.x);
+}
+template <class T, int P>
+__global__ void __launch_bounds__(kThreads) map_gradient(MinMaxBackward<T> p) {
+  map_gradient_of_chunk<P>(p, {gridDim.x - 1 - blockIdx.x, p.chunk, p.chunks, p.x.width});
+}
+
+// The first or the second launch of the gradients of a list.
+template <class T, int P, bool Maps>
+__global__ void __launch_bounds__(kThreads) gradients_of_list(__grid_constant__ MinMaxBackwardList<T> const p) {
+  unsigned block;
+  MinMaxBackward<T> const* const one = sample_of_block(p, block);
+  if (!one) return;
+  MinMaxBackward<T> flat = flat_gradients(*one);
+  flat.chunks = ceil_div(flat.x.width, flat.chunk);
+  flat.partial += 4 * int64_t(blockIdx.x - block);
+  ChunkPosition const at(block, flat.chunk, flat.chunks, flat.x.width);
+  if constexpr (Maps)
+    map_gradient_of_chunk<P>(flat, at);
+  else
+    find_sums_of_chunk<P>(flat, at, block);
 }
 
 }  // namespace
@@ -224,8 +249,29 @@ int min_max_backward(MinMaxBackward<T> const& p, CUstream_st* stream) {
   return cudaGetLastError();
 }
 
+template <class T>
+int min_max_list_backward(MinMaxBackwardList<T> const& p, CUstream_st* stream) {
+  constexpr int P = kPixels<T>;
+  int error = 0;
+  bool const aligned = all_gradients(p, [](MinMaxBackward<T> const& sample) {
+    MinMaxBackward<T> const one = flat_gradients(sample);
+    return are_equally_aligned<P>(one.x, one.grad) && are_equally_aligned<P>(one.x, one.grad_x);
+  });
+  auto const blocks_of = [&](MinMaxBackward<T> const& one) {
+    return p.channels * ceil_div(one.x.height * one.x.width, p.all.chunk);
+  };
+  with_row_vectors<kRowVector<T>>(aligned, [&](auto pixels) {
+    error = launch_gradients(p, blocks_of, [&](MinMaxBackwardList<T> const& list, unsigned blocks) {
+      gradients_of_list<T, pixels.value, false><<<blocks, kThreads, 0, stream>>>(list);
+      gradients_of_list<T, pixels.value, true><<<blocks, kThreads, 0, stream>>>(list);
+    });
+  });
+  return error;
+}
+
 KV_INSTANTIATE(min_max, MinMax)
 KV_INSTANTIATE(min_max_list, MinMaxList)
 KV_INSTANTIATE(min_max_backward, MinMaxBackward)
+KV_INSTANTIATE(min_max_list_backward, MinMaxBackwardList)
 
 }  // namespace kv::enhance::cuda

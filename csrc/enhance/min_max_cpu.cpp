@@ -50,10 +50,8 @@ void min_max(MinMax<T> const& p, int64_t begin, int64_t end) {
       is_number = is_number && numbers[i];
     }
     if (!is_number) smallest = largest = F(__builtin_nanf(""));
-    if (p.range) {
-      store<1>(p.range + 2 * plane, smallest);
-      store<1>(p.range + 2 * plane + 1, largest);
-    }
+    store<1>(p.range + 2 * plane, smallest);
+    store<1>(p.range + 2 * plane + 1, largest);
     F const factor = p.scale / (largest - smallest + p.eps);
     bool const stays = p.keeps_flat && smallest == largest;
     for_each_pixel<T>(n, step, [&](auto width, int64_t i) {
@@ -124,8 +122,16 @@ void min_max_backward(MinMaxBackward<T> const& p, int64_t begin, int64_t end) {
   }
 }
 
+template <class T>
+void min_max_list_backward(MinMaxBackwardList<T> const& p, int64_t begin, int64_t end) {
+  channel_gradient_items(p, begin, end, [](MinMaxBackward<T> const& one, int64_t first, int64_t last) {
+    KV_ISA::min_max_backward(one, first, last);
+  });
+}
+
 KV_INSTANTIATE(min_max, MinMax)
 KV_INSTANTIATE(min_max_list, MinMaxList)
 KV_INSTANTIATE(min_max_backward, MinMaxBackward)
+KV_INSTANTIATE(min_max_list_backward, MinMaxBackwardList)
 
 }  // namespace kv::enhance::KV_ISA

@@ -130,13 +130,11 @@ Tensors add_layer_list_backward(Tensors const& images_and_grads, OptionalTensor 
   ListedImages const list(op, images, chosen);
   LayerArguments const arguments(op, list.like(), layer, windows, factors);
   std::vector<int64_t> const begins = arguments.begins(images);
-  int64_t first = 0;
   Tensors const grads = list.in_layout_of_images(given);
   dispatch_floating(op, list.like(), [&]<class T>(Type<T>) {
     AddLayerBackward<T> const all{arguments.params<T>(), {}, {}};
-    list.gradients<AddLayerBackwardList<T>>(all, grads, 6, [&](auto& p, [[maybe_unused]] int64_t cost) {
-      set_packed(p.packed, begins, first, p.count);
-      first += p.count;
+    list.gradients<AddLayerBackwardList<T>>(all, grads, 6, [&](auto& p, size_t first, [[maybe_unused]] int64_t cost) {
+      set_packed(p.packed, begins, int64_t(first), p.count);
       KV_RUN(add_layer_list_backward, list.like(), p, p.items, cost);
     });
   });

@@ -35,6 +35,12 @@ void run([[maybe_unused]] Tensor const& like, MedianBlurList<T> const& p, [[mayb
   KV_RUN(median_blur_list, like, p, p.list.items, cost);
 }
 
+template <class T>
+void run_backward([[maybe_unused]] Tensor const& like, MedianBlurBackwardList<T> const& p,
+                  [[maybe_unused]] int64_t cost) {
+  KV_RUN(median_blur_list_backward, like, p, p.items, cost);
+}
+
 }  // namespace
 }  // namespace kv::filters
 
@@ -182,6 +188,29 @@ Tensors median_blur_list(Tensors const& images, OptionalTensor const& chosen, in
   return list.kept.results;
 }
 
+// The gradients of the images. The list has the images, and behind them the gradients of the results.
+Tensors median_blur_list_backward(Tensors const& images_and_grads, OptionalTensor const& chosen, Tensors const& medians,
+                                  int64_t ky, int64_t kx, int64_t border_number) {
+  constexpr char const* op = "median_blur_list_backward";
+  auto const [images, given] = halves(op, images_and_grads);
+  ListedImages const list(op, images, chosen);
+  Tensor const& like = list.like();
+  Border const border = to_border(op, border_number);
+  list.check_window_fits(border, ky, kx);
+  Tensors const grads = list.in_layout_of_images(given), stored = list.as_results(medians);
+  dispatch_floating(op, like, [&]<class T>(Type<T>) {
+    filters::MedianBlurBackward<T> all{};
+    all.ky = ky, all.kx = kx, all.border = border;
+    list.gradients<filters::MedianBlurBackwardList<T>>(all, grads, ceil_div(kx * ky, 4),
+                                                       [&](auto& p, size_t first, int64_t cost) {
+                                                         for (int i = 0; i < p.count; ++i)
+                                                           p.medians[i] = stored[first + size_t(i)].const_data_ptr();
+                                                         filters::run_backward(like, p, cost);
+                                                       });
+  });
+  return list.kept.results;
+}
+
 Tensors sharpness_list(Tensors const& images, OptionalTensor const& chosen, OptionalTensor const& factor,
                        double number) {
   constexpr char const* op = "sharpness_list";
@@ -209,7 +238,7 @@ Tensors sharpness_list_backward(Tensors const& images_and_grads, OptionalTensor 
     enhance::SharpnessBackward<T> all{};
     all.factor = enhance::plane_parameter<Compute<T>>(op, "factor", like, factor, number);
     list.gradients<enhance::SharpnessBackwardList<T>>(
-        all, grads, 6, [&](auto const& p, int64_t cost) { enhance::run(like, p, cost); });
+        all, grads, 6, [&](auto const& p, size_t, int64_t cost) { enhance::run(like, p, cost); });
   });
   return list.kept.results;
 }
@@ -236,6 +265,8 @@ KV_OPERATOR(filter2d_backward_list,
             "(Tensor[] grads, Tensor? chosen, Tensor kernel, int border, bool same) -> Tensor[]")
 KV_OPERATOR(box_blur_list, "(Tensor[] images, Tensor? chosen, int ky, int kx, int border) -> Tensor[]")
 KV_OPERATOR(median_blur_list, "(Tensor[] images, Tensor? chosen, int ky, int kx, int border) -> Tensor[]")
+KV_OPERATOR(median_blur_list_backward,
+            "(Tensor[] images_and_grads, Tensor? chosen, Tensor[] medians, int ky, int kx, int border) -> Tensor[]")
 KV_OPERATOR(sharpness_list, "(Tensor[] images, Tensor? chosen, Tensor? factor, float number) -> Tensor[]")
 KV_OPERATOR(sharpness_list_backward,
             "(Tensor[] images_and_grads, Tensor? chosen, Tensor? factor, float number) -> Tensor[]")

@@ -24,10 +24,15 @@ struct ListedImages {
         images(dense ? color::in_pixel_rows(images, kept.layout) : geometry::in_layout(images, kept.layout)) {
     check_chosen(op, chosen, like());
   }
-  // The gradients of the results in the layout of the images.
-  Tensors in_layout_of_images(Tensors const& grads) const {
+  // The gradients of the results, or these, in the layout of the images.
+  Tensors in_layout_of_images(Tensors const& grads, bool dense = false) const {
     for (size_t b = 0; b < images.size(); ++b) check_like(kept.op, "a gradient", grads[b], images[b]);
-    return geometry::in_layout(grads, kept.layout);
+    return dense ? color::in_pixel_rows(grads, kept.layout) : geometry::in_layout(grads, kept.layout);
+  }
+  // Results of the forward pass, of which those are copied that are not stored as the results are here.
+  Tensors as_results(Tensors const& given) const {
+    KV_CHECK(given.size() == images.size(), kept.op, ": expected a result of each image");
+    return in_layout_of_images(given, true);
   }
   // Stands for a batch in checks.
   Tensor const& like() const { return kept.largest; }
@@ -60,9 +65,23 @@ struct ListedImages {
         [&](List& list) { run(list, cost_of_pixel * like().size(2) * like().size(3)); });
   }
   // Runs the gradient of a function, `all` without images, on tables of images and of `grads`, which have the layout:
-  // run(table, cost of an item).
+  // run(table, first sample of the table, cost of an item).
   template <class List, class Gradient, class Run>
   void gradients(Gradient const& all, Tensors const& grads, int64_t cost_of_pixel, Run run) const {
+    auto const items_of = [](Tensor const& x) { return ceil_div(x.size(1), rows_of_item(x.size(2))); };
+    for_each_gradient_table<List>(
+        all, grads, items_of, [&](List& p, size_t first) { run(p, first, cost_of_pixel * kItemPixels * p.channels); });
+  }
+  // The same where an item is all pixels of a channel.
+  template <class List, class Gradient, class Run>
+  void channel_gradients(Gradient const& all, Tensors const& grads, int64_t cost_of_pixel, Run run) const {
+    for_each_gradient_table<List>(
+        all, grads, [&](Tensor const&) { return channels(); },
+        [&](List& p, size_t) { run(p, cost_of_pixel * like().size(2) * like().size(3)); });
+  }
+  // The same where items_of(image) says how many items it has: run(table, first sample of the table).
+  template <class List, class Gradient, class ItemsOf, class Run>
+  void for_each_gradient_table(Gradient const& all, Tensors const& grads, ItemsOf items_of, Run run) const {
     List p{};
     p.channels = int(channels());
     p.interleaved = kept.interleaved();
@@ -76,12 +95,12 @@ struct ListedImages {
         p.grads[i] = listed(grads[begin + size_t(i)]);
         p.results[i] = {y.mutable_data_ptr(), int(y.size(1)), int(y.size(2))};
         p.first[i] = p.items;
-        p.items += int(ceil_div(x.size(1), rows_of_item(x.size(2))));
+        p.items += int(items_of(x));
       }
       p.all = all;
       p.all.select(int64_t(begin));
       p.chosen = chosen ? data_ptr<float const>(*chosen) + int64_t(begin) * p.chosen_stride : nullptr;
-      run(p, cost_of_pixel * kItemPixels * p.channels);
+      run(p, begin);
     }
   }
   // The same where items_of(size) says how many items an image has: run(table).

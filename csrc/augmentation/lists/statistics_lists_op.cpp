@@ -25,6 +25,20 @@ void run([[maybe_unused]] Tensor const& like, ChannelContrastList<T> const& p, [
   KV_RUN(channel_contrast_list, like, p, p.list.items, cost);
 }
 template <class T>
+void run_backward([[maybe_unused]] Tensor const& like, EqualizeBackwardList<T> const& p,
+                  [[maybe_unused]] int64_t cost) {
+  KV_RUN(equalize_list_backward, like, p, p.items, cost);
+}
+template <class T>
+void run_backward([[maybe_unused]] Tensor const& like, MinMaxBackwardList<T> const& p, [[maybe_unused]] int64_t cost) {
+  KV_RUN(min_max_list_backward, like, p, p.items, cost);
+}
+template <class T>
+void run_backward([[maybe_unused]] Tensor const& like, ChannelContrastBackwardList<T> const& p,
+                  [[maybe_unused]] int64_t cost) {
+  KV_RUN(channel_contrast_list_backward, like, p, p.items, cost);
+}
+template <class T>
 void run([[maybe_unused]] Tensor const& like, ClaheList<T> const& p, [[maybe_unused]] int64_t cost) {
   KV_RUN(clahe_list, like, p, p.list.items, cost);
 }
@@ -47,27 +61,63 @@ void check_pixels(ListedImages const& list) {
   KV_CHECK(like.size(2) <= INT32_MAX / like.size(3), list.kept.op, ": expected fewer than 2^31 pixels a plane");
 }
 
+// What is known of each channel of a list, `size` numbers.
+void check_of_channels(ListedImages const& list, char const* name, Tensor const& x, int64_t size) {
+  Tensor const& like = list.like();
+  KV_CHECK(x.dim() > 1 && x.size(0) == like.size(0) && x.size(1) == like.size(1) &&
+               x.numel() == size * like.size(0) * like.size(1) && x.scalar_type() == like.scalar_type() &&
+               x.device() == like.device(),
+           list.kept.op, ": expected ", name, " of each channel, of the type of the images");
+}
+
+// The results, and behind them (B, C): a Change of each channel.
 Tensors equalized(Tensors const& images, OptionalTensor const& chosen, bool opencv, bool in_block) {
   ListedImages const list("equalize_list", images, chosen, true, in_block);
   Tensor const& like = list.like();
   check_pixels(list);
   Tensor const counts = empty({like.size(0) * like.size(1), enhance::kLevels}, like, Layout::planar, ScalarType::Int);
+  Tensor const changed = empty({like.size(0), like.size(1)}, like);
   dispatch_floating_and_uint8(list.kept.op, like, [&]<class T>(Type<T>) {
     enhance::Equalize<T> all{};
     all.opencv = opencv;
     all.counts = data_ptr<int32_t>(counts);
     all.parts = 1;
-    all.sample_counts = like.size(1) * enhance::kLevels;
+    all.sample_planes = like.size(1);
+    all.changed = data_ptr<T>(changed);
     list.filter_channels<enhance::EqualizeList<T>>(all, 2,
                                                    [&](auto const& p, int64_t cost) { enhance::run(like, p, cost); });
   });
-  return list.kept.results;
+  Tensors results = list.kept.results;
+  results.push_back(changed);
+  return results;
 }
 
 Tensors equalize_list(Tensors const& images, OptionalTensor const& chosen, bool opencv) {
   return equalized(images, chosen, opencv, false);
 }
 
+// The gradients of images. The list has the images, and behind them the gradients of the results.
+Tensors equalize_list_backward(Tensors const& images_and_grads, OptionalTensor const& chosen,
+                               OptionalTensor const& changed) {
+  constexpr char const* op = "equalize_list_backward";
+  auto const [images, given] = halves(op, images_and_grads);
+  ListedImages const list(op, images, chosen, true);
+  Tensor const& like = list.like();
+  check_pixels(list);
+  if (changed) check_of_channels(list, "changes", *changed, 1);
+  Tensor const of_channels = changed ? dense(*changed) : like;
+  Tensors const grads = list.in_layout_of_images(given, true);
+  dispatch_floating(op, like, [&]<class T>(Type<T>) {
+    enhance::EqualizeBackward<T> all{};
+    all.changed = changed ? data_ptr<T const>(of_channels) : nullptr;
+    all.sample_planes = like.size(1);
+    list.channel_gradients<enhance::EqualizeBackwardList<T>>(
+        all, grads, 1, [&](auto const& p, int64_t cost) { enhance::run_backward(like, p, cost); });
+  });
+  return list.kept.results;
+}
+
+// The results, and behind them (B, C, 2): the smallest and the largest value of each channel.
 Tensors normalize_min_max_list(Tensors const& images, OptionalTensor const& chosen, double low, double high, double eps,
                                bool clamps, bool keeps_flat) {
   ListedImages const list("normalize_min_max_list", images, chosen, true);
@@ -75,6 +125,7 @@ Tensors normalize_min_max_list(Tensors const& images, OptionalTensor const& chos
   check_pixels(list);
   int64_t const planes = like.size(0) * like.size(1), pixels = like.size(2) * like.size(3);
   enhance::Chunks const chunks(planes, pixels);
+  Tensor const range = empty({like.size(0), like.size(1), 2}, like);
   dispatch_floating(list.kept.op, like, [&]<class T>(Type<T>) {
     using F = Compute<T>;
     Tensor const memory = enhance::working_memory<F>(like, 2 * planes * chunks.count);
@@ -83,10 +134,51 @@ Tensors normalize_min_max_list(Tensors const& images, OptionalTensor const& chos
     all.chunk = chunks.size;
     all.partial = data_ptr<F>(memory);
     all.clamps = clamps, all.keeps_flat = keeps_flat;
+    all.range = data_ptr<T>(range);
+    all.sample_planes = like.size(1);
     list.filter_channels<enhance::MinMaxList<T>>(all, 2,
                                                  [&](auto const& p, int64_t cost) { enhance::run(like, p, cost); });
   });
+  Tensors results = list.kept.results;
+  results.push_back(range);
+  return results;
+}
+
+Tensors normalize_min_max_list_backward(Tensors const& images_and_grads, OptionalTensor const& chosen,
+                                        Tensor const& range, double low, double high, double eps,
+                                        [[maybe_unused]] bool clamps, bool keeps_flat) {
+  constexpr char const* op = "normalize_min_max_list_backward";
+  auto const [images, given] = halves(op, images_and_grads);
+  ListedImages const list(op, images, chosen, true);
+  Tensor const& like = list.like();
+  check_pixels(list);
+  check_of_channels(list, "the range", range, 2);
+  int64_t const planes = like.size(0) * like.size(1);
+  enhance::Chunks const chunks(planes, like.size(2) * like.size(3));
+  Tensor const ranges = dense(range);
+  Tensors const grads = list.in_layout_of_images(given, true);
+  dispatch_floating(op, like, [&]<class T>(Type<T>) {
+    using F = Compute<T>;
+    Tensor const memory = enhance::working_memory<F>(like, 4 * planes * chunks.count);
+    enhance::MinMaxBackward<T> all{};
+    all.range = data_ptr<T const>(ranges);
+    all.scale = F(high - low), all.eps = F(eps);
+    all.chunk = chunks.size;
+    all.partial = data_ptr<F>(memory);
+    all.keeps_flat = keeps_flat;
+    all.sample_planes = like.size(1);
+    list.channel_gradients<enhance::MinMaxBackwardList<T>>(
+        all, grads, 2, [&](auto const& p, int64_t cost) { enhance::run_backward(like, p, cost); });
+  });
   return list.kept.results;
+}
+
+// Of all channels of a list.
+template <class T>
+int64_t contrast_chunks(ListedImages const& list) {
+  int64_t chunks = 0;
+  for (Tensor const& x : list.images) chunks += enhance::contrast_chunks<T>(x.size(1) * x.size(2));
+  return list.channels() * chunks;
 }
 
 Tensors channel_contrast_list(Tensors const& images, OptionalTensor const& chosen, double factor) {
@@ -95,14 +187,33 @@ Tensors channel_contrast_list(Tensors const& images, OptionalTensor const& chose
   check_pixels(list);
   dispatch_floating_and_uint8(list.kept.op, like, [&]<class T>(Type<T>) {
     using F = Compute<T>;
-    int64_t chunks = 0;
-    for (Tensor const& x : list.images) chunks += enhance::contrast_chunks<T>(x.size(1) * x.size(2));
-    Tensor const memory = enhance::working_memory<F>(like, like.size(1) * chunks);
+    Tensor const memory = enhance::working_memory<F>(like, contrast_chunks<T>(list));
     enhance::ChannelContrast<T> all{};
     all.factor = F(factor), all.most = sizeof(T) == 1 ? 255 : 1;
     all.partial = static_cast<F*>(memory.mutable_data_ptr());
     list.filter_channels<enhance::ChannelContrastList<T>>(
         all, 2, [&](auto const& p, int64_t cost) { enhance::run(like, p, cost); });
+  });
+  return list.kept.results;
+}
+
+Tensors channel_contrast_list_backward(Tensors const& images_and_grads, OptionalTensor const& chosen, double factor) {
+  constexpr char const* op = "channel_contrast_list_backward";
+  auto const [images, given] = halves(op, images_and_grads);
+  ListedImages const list(op, images, chosen, true);
+  Tensor const& like = list.like();
+  check_pixels(list);
+  Tensors const grads = list.in_layout_of_images(given, true);
+  dispatch_floating(op, like, [&]<class T>(Type<T>) {
+    using F = Compute<T>;
+    int64_t const chunks = contrast_chunks<T>(list);
+    Tensor const memory = enhance::working_memory<F>(like, 2 * chunks);
+    enhance::ChannelContrastBackward<T> all{};
+    all.factor = F(factor);
+    all.partial = static_cast<F*>(memory.mutable_data_ptr());
+    all.partial_grads = all.partial + chunks;
+    list.channel_gradients<enhance::ChannelContrastBackwardList<T>>(
+        all, grads, 3, [&](auto const& p, int64_t cost) { enhance::run_backward(like, p, cost); });
   });
   return list.kept.results;
 }
@@ -158,16 +269,23 @@ Tensors jpeg_list(Tensors const& images, OptionalTensor const& chosen, OptionalT
 
 Tensors steps::equalize(Tensors const& images, bool opencv) {
   OptionalTensor const all;
-  return equalized(images, all, opencv, true);
+  Tensors results = equalized(images, all, opencv, true);
+  results.pop_back();
+  return results;
 }
 
 // `chosen` (B,) float32: images whose value is 0 stay as they are. What follows are the arguments of the operators on
 // batches.
 KV_OPERATOR(equalize_list, "(Tensor[] images, Tensor? chosen, bool opencv) -> Tensor[]")
+KV_OPERATOR(equalize_list_backward, "(Tensor[] images_and_grads, Tensor? chosen, Tensor? changed) -> Tensor[]")
 KV_OPERATOR(normalize_min_max_list,
             "(Tensor[] images, Tensor? chosen, float low, float high, float eps, bool clamps, bool keeps_flat)"
             " -> Tensor[]")
+KV_OPERATOR(normalize_min_max_list_backward,
+            "(Tensor[] images_and_grads, Tensor? chosen, Tensor range, float low, float high, float eps, bool clamps,"
+            " bool keeps_flat) -> Tensor[]")
 KV_OPERATOR(channel_contrast_list, "(Tensor[] images, Tensor? chosen, float factor) -> Tensor[]")
+KV_OPERATOR(channel_contrast_list_backward, "(Tensor[] images_and_grads, Tensor? chosen, float factor) -> Tensor[]")
 KV_OPERATOR(equalize_clahe_list,
             "(Tensor[] images, Tensor? chosen, Tensor? clip_limits, float clip_limit, int rows, int columns,"
             " bool opencv) -> Tensor[]")

@@ -24,8 +24,15 @@ __device__ __forceinline__ auto sample_of_block(List const& p, unsigned& block) 
   if (!p.copies(b)) return one;
   int64_t const blocks = p.end_of(b) - p.first[b], rows = one->x.rows(), height = one->x.height;
   for (int64_t r = rows * block / blocks; r < rows * (block + 1) / blocks; ++r)
-    copy_gradients(*one, r / height, r % height, threadIdx.x, blockDim.x);
+    copy_gradients<List::kAsStored>(*one, r / height, r % height, threadIdx.x, blockDim.x);
   return nullptr;
+}
+
+template <class List, class Is>
+bool all_gradients(List const& p, Is is) {
+  for (int b = 0; b < p.count; ++b)
+    if (!is(p.sample(b))) return false;
+  return true;
 }
 
 // Calls launch(table, number of blocks) with as many blocks of each sample as blocks_of(sample) says.

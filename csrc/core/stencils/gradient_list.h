@@ -1,8 +1,8 @@
 // Gradients of images of different sizes, from those of the results of a function that is not linear: a sample is a
-// batch of one with a plane for each channel, for which the kernels of batches are run. Included by headers of kernels.
+// batch of one, for which the kernels of batches are run. Included by headers of kernels.
 #pragma once
 
-#include "core/image_list.h"
+#include "core/stencils/channel_list.h"
 
 namespace kv {
 
@@ -10,9 +10,11 @@ constexpr int kMaxListedGradients = kMaxListed / 2;  // tables have an image mor
 
 // `all` is what the samples have in common, with the parameters of all of them: a struct with images x, grad and
 // grad_x, and with select(b), which leaves the parameters of sample b. The gradients of samples that are not chosen are
-// copies of what is given.
-template <class Gradient, class T>
+// copies of what is given. A sample has a plane for each channel; `AsStored`, interleaved pixels are one plane, as
+// batches have them.
+template <class Gradient, class T, bool AsStored = false>
 struct GradientList {
+  static constexpr bool kAsStored = AsStored;
   Gradient all;
   int count, items, channels;
   bool interleaved;
@@ -30,26 +32,30 @@ struct GradientList {
   KV_HD Gradient sample(int b) const {
     Gradient one = all;
     one.select(b);
-    one.x = channels_of(images_of<T>(images[b], channels));
-    one.grad = channels_of(images_of<T>(grads[b], channels));
-    one.grad_x = channels_of(images_of<T>(results[b], channels, interleaved));
+    one.x = planes(images_of<T>(images[b], channels));
+    one.grad = planes(images_of<T>(grads[b], channels));
+    one.grad_x = planes(images_of<T>(results[b], channels, interleaved));
     return one;
   }
   template <class U>
-  static KV_HD Planes<U> channels_of(Images<U> const& x) {
+  KV_HD Planes<U> planes(Images<U> const& x) const {
+    if constexpr (AsStored) return planes_of(x, interleaved);
     return {x.data, x.channels, 1, x.channel_stride, 0, x.row_stride, x.height, x.width, x.step};
   }
 };
 
 // Copies row y of a plane of the given gradients: elements i, i + apart, ...
-template <class Gradient>
+template <bool AsStored, class Gradient>
 KV_HD void copy_gradients(Gradient const& one, int64_t plane, int64_t y, int64_t i, int64_t apart) {
   auto const* const from = one.grad.row(plane, y);
   auto* const to = one.grad_x.row(plane, y);
-  for (; i < one.x.width; i += apart) to[i * one.grad_x.step] = from[i * one.grad.step];
+  if constexpr (AsStored)
+    for (; i < one.x.row_size(); i += apart) to[i] = from[i];
+  else
+    for (; i < one.x.width; i += apart) to[i * one.grad_x.step] = from[i * one.grad.step];
 }
 
-// On the CPU an item is some rows of all channels. Calls run(sample, first row, row behind the last), counted through
+// On the CPU an item is some rows of all planes. Calls run(sample, first row, row behind the last), counted through
 // the planes, for the items [begin, end).
 template <class List, class Run>
 KV_HD void gradient_items(List const& p, int64_t begin, int64_t end, Run run) {
@@ -58,11 +64,33 @@ KV_HD void gradient_items(List const& p, int64_t begin, int64_t end, Run run) {
     auto const one = p.sample(b);
     int64_t const height = one.x.height, rows = rows_of_item(one.x.width), from = (item - p.first[b]) * rows,
                   to = min(from + rows, height);
-    for (int64_t plane = 0; plane < p.channels; ++plane)
+    for (int64_t plane = 0; plane < one.x.count(); ++plane)
       if (!p.copies(b))
         run(one, plane * height + from, plane * height + to);
       else
-        for (int64_t y = from; y < to; ++y) copy_gradients(one, plane, y, 0, 1);
+        for (int64_t y = from; y < to; ++y) copy_gradients<List::kAsStored>(one, plane, y, 0, 1);
+  }
+}
+
+// A sample as it is stored, whose rows follow each other, with each channel as one row.
+template <class Gradient>
+KV_HD Gradient flat_gradients(Gradient one) {
+  one.x = flat_channels(one.x), one.grad = flat_channels(one.grad), one.grad_x = flat_channels(one.grad_x);
+  return one;
+}
+
+// The same where an item is all pixels of a channel: calls run(flat sample, first channel, channel behind the last).
+template <class List, class Run>
+KV_HD void channel_gradient_items(List const& p, int64_t begin, int64_t end, Run run) {
+  while (begin < end) {
+    int const b = p.sample_of(int(begin));
+    auto const one = flat_gradients(p.sample(b));
+    int64_t const first = p.first[b], last = min(end, int64_t(p.end_of(b)));
+    if (p.copies(b))
+      for (int64_t c = begin - first; c < last - first; ++c) copy_gradients<false>(one, c, 0, 0, 1);
+    else
+      run(one, begin - first, last - first);
+    begin = last;
   }
 }
 

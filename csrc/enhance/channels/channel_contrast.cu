@@ -5,6 +5,7 @@
 #include "core/block_reduce.cuh"
 #include "core/row_vectors.cuh"
 #include "core/stencils/filter_list.cuh"
+#include "core/stencils/gradient_list.cuh"
 
 namespace kv::enhance::cuda {
 namespace {
@@ -148,20 +149,17 @@ __global__ void __launch_bounds__(kContrastThreads) contrast_of_list(__grid_cons
 }
 
 template <class T>
-__global__ void __launch_bounds__(kContrastThreads)
-    sum_gradients(__grid_constant__ ChannelContrastBackward<T> const p) {
+__device__ __forceinline__ void sum_of_gradients(ChannelContrastBackward<T> const& p, unsigned block) {
   using F = Compute<T>;
-  ContrastChunk<T> const at(blockIdx.x, p.x.width);
+  ContrastChunk<T> const at(block, p.x.width);
   F const mean = mean_of_plane(p.x, p.partial, at.plane);
-  sum_chunk<T>(
-      at, p.partial_grads + blockIdx.x, [&](F grad, F x) { return p.before_clamp(grad, x, mean); }, p.grad, p.x);
+  sum_chunk<T>(at, p.partial_grads + block, [&](F grad, F x) { return p.before_clamp(grad, x, mean); }, p.grad, p.x);
 }
-template <class T, int P>
-__global__ void __launch_bounds__(kContrastThreads)
-    map_gradients(__grid_constant__ ChannelContrastBackward<T> const p) {
+template <int P, class T>
+__device__ __forceinline__ void map_gradient(ChannelContrastBackward<T> const& p, unsigned block) {
   using F = Compute<T>;
   int64_t const chunks = contrast_chunks<T>(p.x.width);
-  ContrastChunk<T> const at(gridDim.x - 1 - blockIdx.x, p.x.width);
+  ContrastChunk<T> const at(block, p.x.width);
   F const mean = mean_of_plane(p.x, p.partial, at.plane),
           of_mean = sum_of_chunks(p.partial_grads + at.plane * chunks, chunks) * (1 - p.factor) / F(p.x.width);
   T const *const x = p.x.plane(at.plane), *const grad = p.grad.plane(at.plane);
@@ -181,6 +179,35 @@ __global__ void __launch_bounds__(kContrastThreads)
     for (int k = 0; k < P; ++k) v[k] = gradient(grads.v[k], own.v[k]);
     store_vector(grad_x + i * p.grad_x.step, v);
   }
+}
+
+template <class T>
+__global__ void __launch_bounds__(kContrastThreads)
+    sum_gradients(__grid_constant__ ChannelContrastBackward<T> const p) {
+  sum_of_gradients(p, blockIdx.x);
+}
+template <class T, int P>
+__global__ void __launch_bounds__(kContrastThreads)
+    map_gradients(__grid_constant__ ChannelContrastBackward<T> const p) {
+  map_gradient<P>(p, gridDim.x - 1 - blockIdx.x);
+}
+
+// The three launches of a list. P: as above, of the last one.
+enum class ContrastLaunch { sum, sum_gradients, map };
+template <ContrastLaunch Launch, class T, int P = 1>
+__global__ void __launch_bounds__(kContrastThreads)
+    contrast_gradients_of_list(__grid_constant__ ChannelContrastBackwardList<T> const p) {
+  unsigned block;
+  ChannelContrastBackward<T> const* const one = sample_of_block(p, block);
+  if (!one) return;
+  ChannelContrastBackward<T> flat = flat_gradients(*one);
+  flat.partial += int64_t(blockIdx.x - block), flat.partial_grads += int64_t(blockIdx.x - block);
+  if constexpr (Launch == ContrastLaunch::sum)
+    sum_pixels(flat.x, flat.partial, block);
+  else if constexpr (Launch == ContrastLaunch::sum_gradients)
+    sum_of_gradients(flat, block);
+  else
+    map_gradient<P>(flat, block);
 }
 
 }  // namespace
@@ -222,8 +249,32 @@ int channel_contrast_backward(ChannelContrastBackward<T> const& p, CUstream_st* 
   return cudaGetLastError();
 }
 
+template <class T>
+int channel_contrast_list_backward(ChannelContrastBackwardList<T> const& p, CUstream_st* stream) {
+  constexpr int P = kMapped<T>;
+  bool const aligned = all_gradients(p, [](ChannelContrastBackward<T> const& sample) {
+    ChannelContrastBackward<T> const one = flat_gradients(sample);
+    return are_equally_aligned<P>(one.x, one.grad) && are_equally_aligned<P>(one.x, one.grad_x);
+  });
+  using List = ChannelContrastBackwardList<T>;
+  return launch_gradients(
+      p,
+      [&](ChannelContrastBackward<T> const& one) {
+        return p.channels * contrast_chunks<T>(one.x.height * one.x.width);
+      },
+      [&](List const& list, unsigned blocks) {
+        contrast_gradients_of_list<ContrastLaunch::sum><<<blocks, kContrastThreads, 0, stream>>>(list);
+        contrast_gradients_of_list<ContrastLaunch::sum_gradients><<<blocks, kContrastThreads, 0, stream>>>(list);
+        with_row_vectors<P>(aligned, [&](auto pixels) {
+          contrast_gradients_of_list<ContrastLaunch::map, T, pixels.value>
+              <<<blocks, kContrastThreads, 0, stream>>>(list);
+        });
+      });
+}
+
 KV_INSTANTIATE_WITH_BYTES(channel_contrast, ChannelContrast)
 KV_INSTANTIATE_WITH_BYTES(channel_contrast_list, ChannelContrastList)
 KV_INSTANTIATE(channel_contrast_backward, ChannelContrastBackward)
+KV_INSTANTIATE(channel_contrast_list_backward, ChannelContrastBackwardList)
 
 }  // namespace kv::enhance::cuda

@@ -3,7 +3,7 @@
 #pragma once
 
 #include "core/isa.h"
-#include "core/stencils/channel_list.h"
+#include "core/stencils/gradient_list.h"
 #include "core/view.h"
 
 namespace kv::enhance {
@@ -45,6 +45,7 @@ struct ChannelContrastBackward {
   F factor;
   F *partial, *partial_grads;  // CUDA: the sums of all chunks, and those of gradients
 
+  KV_HD void select(int64_t) {}
   // The gradient of a result before it was clamped.
   template <class V>
   KV_HD V before_clamp(V grad, V x, F mean) const {
@@ -53,8 +54,12 @@ struct ChannelContrastBackward {
   }
 };
 
+template <class T>
+struct ChannelContrastBackwardList : GradientList<ChannelContrastBackward<T>, T, true> {};
+
 KV_KERNEL(channel_contrast, ChannelContrast)
 KV_KERNEL(channel_contrast_list, ChannelContrastList)
 KV_KERNEL(channel_contrast_backward, ChannelContrastBackward)
+KV_KERNEL(channel_contrast_list_backward, ChannelContrastBackwardList)
 
 }  // namespace kv::enhance

@@ -81,8 +81,16 @@ void channel_contrast_backward(ChannelContrastBackward<T> const& p, int64_t begi
   }
 }
 
+template <class T>
+void channel_contrast_list_backward(ChannelContrastBackwardList<T> const& p, int64_t begin, int64_t end) {
+  channel_gradient_items(p, begin, end, [](ChannelContrastBackward<T> const& one, int64_t first, int64_t last) {
+    KV_ISA::channel_contrast_backward(one, first, last);
+  });
+}
+
 KV_INSTANTIATE_WITH_BYTES(channel_contrast, ChannelContrast)
 KV_INSTANTIATE_WITH_BYTES(channel_contrast_list, ChannelContrastList)
 KV_INSTANTIATE(channel_contrast_backward, ChannelContrastBackward)
+KV_INSTANTIATE(channel_contrast_list_backward, ChannelContrastBackwardList)
 
 }  // namespace kv::enhance::KV_ISA

@@ -17,6 +17,7 @@
 #include "core/border.h"
 #include "core/isa.h"
 #include "core/stencils/filter_list.h"
+#include "core/stencils/gradient_list.h"
 #include "core/view.h"
 #ifdef __CUDACC__
 #include "core/nan_min_max.cuh"
@@ -43,11 +44,28 @@ struct MedianBlurBackward {
   Planes<T> grad_x;
   int64_t ky, kx;
   Border border;
+
+  KV_HD void select(int64_t) {}
+};
+
+// With the results of the forward pass, which are stored as the gradients of images are.
+template <class T>
+struct MedianBlurBackwardList : GradientList<MedianBlurBackward<T>, T, true> {
+  void const* medians[kMaxListedGradients];
+
+  KV_HD MedianBlurBackward<T> sample(int b) const {
+    auto one = GradientList<MedianBlurBackward<T>, T, true>::sample(b);
+    auto const [data, outer, inner, outer_stride, inner_stride, row_stride, height, width, step] = one.grad_x;
+    one.y = {
+        static_cast<T const*>(medians[b]), outer, inner, outer_stride, inner_stride, row_stride, height, width, step};
+    return one;
+  }
 };
 
 KV_KERNEL(median_blur, MedianBlur)
 KV_KERNEL(median_blur_list, MedianBlurList)
 KV_KERNEL(median_blur_backward, MedianBlurBackward)
+KV_KERNEL(median_blur_list_backward, MedianBlurBackwardList)
 
 // Pixels of a window of size k before and after its center.
 KV_HD int64_t median_before(int64_t k) { return (k - 1) / 2; }

@@ -3,6 +3,7 @@
 // pixel, g / (pixels of the window that equal the median). A pixel sums the gradients of the windows whose median it
 // equals.
 #include "core/launch.cuh"
+#include "core/stencils/gradient_list.cuh"
 #include "median.h"
 
 namespace kv::filters::cuda {
@@ -16,16 +17,23 @@ struct TiedGradient {
   F median, gradient;
 };
 
+// The parts of planes that blocks have.
+struct Parts {
+  unsigned across, down;
+  KV_HD Parts(int64_t width, int64_t height, int each_across, int each_down)
+      : across(unsigned(ceil_div(width, int64_t(each_across)))), down(unsigned(ceil_div(height, int64_t(each_down)))) {}
+};
+
 // K: the size of a square window known at compile time, or 0.
 template <int K, class T>
-__global__ void __launch_bounds__(kTile* kRowsOfThreads)
-    median_backward_tile(MedianBlurBackward<T> p, unsigned across, unsigned down) {
+__device__ __forceinline__ void gradients_of_tile(MedianBlurBackward<T> const& p, Parts const& parts, unsigned block) {
   using F = Compute<T>;
   __shared__ TiedGradient<F> chunk[kChunkHeight][kChunkWidth];
 
-  unsigned const tile = blockIdx.x / across;
-  int64_t const channel_plane = tile / down, plane = channel_plane / p.x.step, channel = channel_plane % p.x.step;
-  int const x0 = int(blockIdx.x - tile * across) * kTile, y0 = int(tile - unsigned(channel_plane) * down) * kTile;
+  unsigned const tile = block / parts.across;
+  int64_t const channel_plane = tile / parts.down, plane = channel_plane / p.x.step, channel = channel_plane % p.x.step;
+  int const x0 = int(block - tile * parts.across) * kTile,
+            y0 = int(tile - unsigned(channel_plane) * parts.down) * kTile;
   int const step = int(p.x.step), width = int(p.x.width), height = int(p.x.height);
   int const ky = K ? K : int(p.ky), kx = K ? K : int(p.kx), ry = ky / 2, rx = kx / 2;
   int const before_y = (ky - 1) / 2, before_x = (kx - 1) / 2;
@@ -109,6 +117,16 @@ __global__ void __launch_bounds__(kTile* kRowsOfThreads)
   }
 }
 
+template <class T>
+KV_HD Parts tiles_of(MedianBlurBackward<T> const& p) {
+  return {p.x.width, p.x.height, kTile, kTile};
+}
+template <int K, class T>
+__global__ void __launch_bounds__(kTile* kRowsOfThreads)
+    median_backward_tile(__grid_constant__ MedianBlurBackward<T> const p, Parts const parts) {
+  gradients_of_tile<K>(p, parts, blockIdx.x);
+}
+
 // --- planar images and windows of 3 x 3 or 5 x 5 pixels ------------------------------------------------------------------
 
 // A thread has a column of the tile: several outputs at once for the counts, then several pixels at once for the sums.
@@ -127,15 +145,14 @@ struct StripTile {
   float counts[kHeight][K];       // how often the outputs around a row of pixels read it
 };
 
-// Five blocks on a multiprocessor, of 32 registers: 1.14 times as fast as three of 56.
 template <int K, class T>
-__global__ void __launch_bounds__(kThreads, 5)
-    median_backward_columns(__grid_constant__ MedianBlurBackward<T> const p, unsigned across, unsigned down) {
+__device__ __forceinline__ void gradients_of_columns(MedianBlurBackward<T> const& p, Parts const& parts,
+                                                     unsigned block) {
   constexpr int R = K / 2;
   using Tile = StripTile<K>;
   __shared__ Tile tile;
-  unsigned const line = blockIdx.x / across, plane = line / down;
-  int const x0 = int(blockIdx.x - line * across) * Tile::kWidth, y0 = int(line - plane * down) * Tile::kHeight;
+  unsigned const line = block / parts.across, plane = line / parts.down;
+  int const x0 = int(block - line * parts.across) * Tile::kWidth, y0 = int(line - plane * parts.down) * Tile::kHeight;
   int const width = int(p.x.width), height = int(p.x.height);
   int const column = threadIdx.x % kColumns, group = threadIdx.x / kColumns;
   bool const circular = p.border == Border::circular;
@@ -221,19 +238,81 @@ __global__ void __launch_bounds__(kThreads, 5)
     if (y + i < height) out[(y + i) * p.grad_x.row_stride] = round_to<T>(sum[i]);
 }
 
+template <int K, class T>
+KV_HD Parts columns_of(MedianBlurBackward<T> const& p) {
+  return {p.x.width, p.x.height, StripTile<K>::kWidth, StripTile<K>::kHeight};
+}
+// Whether the columns of a tile wrap at most once around an image with the circular border.
+template <int K, class T>
+bool fit_columns(MedianBlurBackward<T> const& p) {
+  return p.ky == K && p.kx == K && p.x.step == 1 &&
+         (p.border != Border::circular || min(p.x.width, p.x.height) >= 2 * K);
+}
+
+// Five blocks on a multiprocessor, of 32 registers: 1.14 times as fast as three of 56.
+template <int K, class T>
+__global__ void __launch_bounds__(kThreads, 5)
+    median_backward_columns(__grid_constant__ MedianBlurBackward<T> const p, Parts const parts) {
+  gradients_of_columns<K>(p, parts, blockIdx.x);
+}
+
 // Special case, H200: 2.7 (3 x 3) to 4.2 (5 x 5) times as fast as tiles.
 template <int K, class T>
 bool try_columns(MedianBlurBackward<T> const& p, CUstream_st* stream) {
   if constexpr (sizeof(T) < 8) {
-    if (p.ky != K || p.kx != K || p.x.step != 1) return false;
-    if (p.border == Border::circular && min(p.x.width, p.x.height) < 2 * K) return false;  // would wrap twice
-    int64_t const across = ceil_div(p.x.width, StripTile<K>::kWidth),
-                  down = ceil_div(p.x.height, StripTile<K>::kHeight);
-    median_backward_columns<K>
-        <<<unsigned(p.x.count() * across * down), kThreads, 0, stream>>>(p, unsigned(across), unsigned(down));
+    if (!fit_columns<K>(p)) return false;
+    Parts const parts = columns_of<K>(p);
+    unsigned const blocks = unsigned(p.x.count()) * parts.across * parts.down;
+    median_backward_columns<K><<<blocks, kThreads, 0, stream>>>(p, parts);
     return true;
   }
   return false;
+}
+
+// --- lists -----------------------------------------------------------------------------------------------------------
+
+template <int K, class T>
+__global__ void __launch_bounds__(kTile* kRowsOfThreads)
+    median_backward_tile_of_list(__grid_constant__ MedianBlurBackwardList<T> const list) {
+  unsigned block;
+  MedianBlurBackward<T> const* const p = sample_of_block(list, block);
+  if (p) gradients_of_tile<K>(*p, tiles_of(*p), block);
+}
+template <int K, class T>
+__global__ void __launch_bounds__(kThreads, 5)
+    median_backward_columns_of_list(__grid_constant__ MedianBlurBackwardList<T> const list) {
+  unsigned block;
+  MedianBlurBackward<T> const* const p = sample_of_block(list, block);
+  if (p) gradients_of_columns<K>(*p, columns_of<K>(*p), block);
+}
+
+template <int K, class T>
+int launch_tiles(MedianBlurBackwardList<T> const& p, CUstream_st* stream) {
+  return launch_gradients(
+      p,
+      [](MedianBlurBackward<T> const& one) {
+        Parts const parts = tiles_of(one);
+        return one.x.count() * one.x.step * parts.across * parts.down;
+      },
+      [&](MedianBlurBackwardList<T> const& list, unsigned blocks) {
+        median_backward_tile_of_list<K><<<blocks, dim3(kTile, kRowsOfThreads), 0, stream>>>(list);
+      });
+}
+// By columns that serve all images, or by tiles.
+template <int K, class T>
+int launch_windows(MedianBlurBackwardList<T> const& p, CUstream_st* stream) {
+  if constexpr (sizeof(T) < 8)
+    if (all_gradients(p, fit_columns<K, T>))
+      return launch_gradients(
+          p,
+          [](MedianBlurBackward<T> const& one) {
+            Parts const parts = columns_of<K>(one);
+            return one.x.count() * parts.across * parts.down;
+          },
+          [&](MedianBlurBackwardList<T> const& list, unsigned blocks) {
+            median_backward_columns_of_list<K><<<blocks, kThreads, 0, stream>>>(list);
+          });
+  return launch_tiles<K>(p, stream);
 }
 
 }  // namespace
@@ -241,19 +320,28 @@ bool try_columns(MedianBlurBackward<T> const& p, CUstream_st* stream) {
 template <class T>
 int median_blur_backward(MedianBlurBackward<T> const& p, CUstream_st* stream) {
   if (try_columns<3>(p, stream) || try_columns<5>(p, stream)) return cudaGetLastError();
-  int64_t const across = ceil_div(p.x.width, kTile), down = ceil_div(p.x.height, kTile);
-  unsigned const blocks = unsigned(p.x.count() * p.x.step * across * down);
+  Parts const parts = tiles_of(p);
+  unsigned const blocks = unsigned(p.x.count() * p.x.step) * parts.across * parts.down;
   dim3 const threads(kTile, kRowsOfThreads);
   // Special case, H200: 2.6 to 2.7 times as fast as windows of any size.
-  if (p.ky == 3 && p.kx == 3) median_backward_tile<3><<<blocks, threads, 0, stream>>>(p, across, down);
+  if (p.ky == 3 && p.kx == 3) median_backward_tile<3><<<blocks, threads, 0, stream>>>(p, parts);
   // Special case, H200: 2.6 times as fast as windows of any size.
   else if (p.ky == 5 && p.kx == 5)
-    median_backward_tile<5><<<blocks, threads, 0, stream>>>(p, across, down);
+    median_backward_tile<5><<<blocks, threads, 0, stream>>>(p, parts);
   else
-    median_backward_tile<0><<<blocks, threads, 0, stream>>>(p, across, down);
+    median_backward_tile<0><<<blocks, threads, 0, stream>>>(p, parts);
   return cudaGetLastError();
 }
 
+template <class T>
+int median_blur_list_backward(MedianBlurBackwardList<T> const& p, CUstream_st* stream) {
+  int64_t const ky = p.all.ky, kx = p.all.kx;
+  if (ky == 3 && kx == 3) return launch_windows<3>(p, stream);
+  if (ky == 5 && kx == 5) return launch_windows<5>(p, stream);
+  return launch_tiles<0>(p, stream);
+}
+
 KV_INSTANTIATE(median_blur_backward, MedianBlurBackward)
+KV_INSTANTIATE(median_blur_list_backward, MedianBlurBackwardList)
 
 }  // namespace kv::filters::cuda

@@ -485,8 +485,16 @@ void median_blur_list(MedianBlurList<T> const& p, int64_t begin, int64_t end) {
                [](MedianBlur<T> const& one, int64_t first, int64_t last) { KV_ISA::median_blur(one, first, last); });
 }
 
+template <class T>
+void median_blur_list_backward(MedianBlurBackwardList<T> const& p, int64_t begin, int64_t end) {
+  gradient_items(p, begin, end, [](MedianBlurBackward<T> const& one, int64_t first, int64_t last) {
+    KV_ISA::median_blur_backward(one, first, last);
+  });
+}
+
 KV_INSTANTIATE_WITH_BYTES(median_blur, MedianBlur)
 KV_INSTANTIATE_WITH_BYTES(median_blur_list, MedianBlurList)
 KV_INSTANTIATE(median_blur_backward, MedianBlurBackward)
+KV_INSTANTIATE(median_blur_list_backward, MedianBlurBackwardList)
 
 }  // namespace kv::filters::KV_ISA

@@ -19,6 +19,13 @@ PROGRAMS = {
     "order": lambda: A.ColorJitter(0.3, 0.3, 0.3, 0.1, p=1.0),
     "grayscale": lambda: A.RandomGrayscale(p=1.0),
     "sharpness": lambda: A.RandomSharpness((0.2, 3.0), p=0.8),
+    "medians": lambda: A.RandomMedianBlur((3, 3), p=0.8),
+    "medians of 25": lambda: A.RandomMedianBlur((5, 5), p=0.8),
+    "medians of 21": lambda: A.RandomMedianBlur((7, 3), p=0.8),
+    "levels": lambda: A.RandomEqualize(p=0.8),
+    "levels of tiles": lambda: A.RandomClahe((1.0, 40.0), (3, 2), p=0.8),
+    "range": lambda: A.RandomAutoContrast(p=0.8),
+    "means of channels": lambda: A.CommonCorruption("contrast", 2, p=0.8),
     "illumination": lambda: A.RandomLinearIllumination(p=0.8),
     "fog": lambda: A.RandomFog(p=1.0),
     "frost": lambda: A.RandomFrost(torch.rand(2, 3, 70, 140), p=0.8),
@@ -68,7 +75,10 @@ def test_other_channels_and_long_lists(device):
         assert_close(gradient, x.detach() - 1)
 
 
-@pytest.mark.parametrize("name", ["jitter", "sharpness", "illumination", "speckle", "erasing"])
+LONG = ["jitter", "sharpness", "medians", "levels", "range", "means of channels", "illumination", "speckle", "erasing"]
+
+
+@pytest.mark.parametrize("name", LONG)
 def test_lists_longer_than_a_table(name, device):
     images = [torch.rand(3, 5 + i % 5, 6 + i % 3, device=device, requires_grad=True) for i in range(520)]
     augment, seeds = PROGRAMS[name](), seeds_of(images)
@@ -76,6 +86,44 @@ def test_lists_longer_than_a_table(name, device):
     for b in (0, 255, 256, 257, 511, 512, 519):
         (alone,) = torch.autograd.grad(augment(images[b][None], seed=seeds[b : b + 1]).square().sum(), images[b])
         assert_close(found[b], alone, 1e-4, 1e-4)
+
+
+@pytest.mark.parametrize("name", ["levels", "levels of tiles"])
+def test_pixels_that_stay_pass_their_gradients(name, device):
+    """NaN, and those of images with too few pixels for as many levels."""
+    images = pictures(device, [(40, 64), (9, 20)])
+    images[0][:, 3, 5] = torch.nan
+    images = [x.requires_grad_() for x in images]
+    results = {"levels": A.RandomEqualize(p=1.0), "levels of tiles": A.RandomClahe(p=1.0)}[name](images)
+    grads = [torch.rand_like(y) for y in results]
+    found, expected = torch.autograd.grad(results, images, grads), torch.zeros_like(images[0])
+    expected[:, 3, 5] = grads[0][:, 3, 5]
+    assert torch.equal(found[0], expected)
+    assert torch.equal(found[1], grads[1] if name == "levels" else torch.zeros_like(grads[1]))
+
+
+@pytest.mark.parametrize("name", ["medians", "range", "means of channels"])
+def test_gradients_of_images_of_one_size_are_those_of_a_batch(name, device):
+    images = [x[:, :16, :16].clone().requires_grad_() for x in pictures(device, [(16, 17), (33, 20), (40, 64)])]
+    augment, batch = PROGRAMS[name](), torch.stack(images).detach().requires_grad_()
+    grads = torch.rand_like(batch)
+    (of_batch,) = torch.autograd.grad(augment(batch, seed=4), batch, grads)
+    for own, expected in zip(torch.autograd.grad(augment(images, seed=4), images, list(grads)), of_batch):
+        assert torch.equal(own, expected)
+
+
+def test_an_image_that_appears_twice_gets_both_gradients(device):
+    first, second = pictures(device, [(16, 17), (33, 20)])
+    first.requires_grad_()
+    for name in ("medians", "range", "levels", "means of channels", "sharpness"):
+        augment, seeds = PROGRAMS[name](), torch.arange(3, device=device)
+        results = augment([first, second, first], seed=seeds)
+        grads = [torch.rand_like(y) for y in results]
+        (both,) = torch.autograd.grad(results[::2], first, grads[::2])
+        each = [
+            torch.autograd.grad(augment(first[None], seed=seeds[b : b + 1]), first, grads[b][None])[0] for b in (0, 2)
+        ]
+        assert_close(both, sum(each), 1e-5, 1e-5)
 
 
 def test_gradients_of_factors_that_differ_by_the_number_of_the_image(device):
@@ -89,7 +137,9 @@ def test_gradients_of_factors_that_differ_by_the_number_of_the_image(device):
 
 
 @pytest.mark.derivatives
-@pytest.mark.parametrize("name", ["channels", "one mean", "jitter", "sharpness", "fog"])
+@pytest.mark.parametrize(
+    "name", ["channels", "one mean", "jitter", "sharpness", "medians", "range", "means of channels", "fog"]
+)
 def test_second_derivatives(name, device):
     augment, images = PROGRAMS[name](), pictures(device, SIZES[:2], torch.float64)
     images = [x[:, :3, :4].clone().requires_grad_() for x in images]

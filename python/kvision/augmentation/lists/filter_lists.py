@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import torch
 from torch import Tensor
 
 from kvision._list_ops import ListOperator
@@ -15,8 +14,8 @@ from kvision.enhance.sharpness import _sharpness_backward
 from kvision.filters.filter2d import _filter2d as filter2d
 from kvision.filters.filter2d import _filter2d_backward, _kernel_backward, clamped_gradients, filter2d_clamped
 from kvision.filters.smoothing import box, gaussian, median
-from kvision.geometry.transform.lists.arguments import halves, row, sizes
-from kvision.geometry.transform.lists.kept_sizes import register_filter, register_list_backward
+from kvision.geometry.transform.lists.arguments import row, sizes
+from kvision.geometry.transform.lists.kept_sizes import by_samples, register_filter, register_list_backward
 from kvision.geometry.transform.lists.remap_list import packed, packed_size, unpacked
 
 box_blur, gaussian_blur2d, median_blur = box._box_blur, gaussian._gaussian_blur2d, median._median_blur
@@ -41,10 +40,6 @@ def _of_kernel(grad: Tensor, x: Tensor, kernel: Tensor, *rest: Any) -> Tensor:
     return of
 
 
-def _of_median(needs: Any, grad: Tensor, x: Tensor, *window: Any) -> list[Tensor | None]:
-    return [median._backward(grad, x, median_blur(x, *window), *window)]
-
-
 _register_filter("box_blur_list", box_blur, box._transposed)
 _register_filter("box_blur_backward_list", box._transposed, box_blur)
 _register_filter("gaussian_blur2d_list", gaussian_blur2d, gaussian._transposed, gaussian.sigma_gradient)
@@ -64,22 +59,34 @@ register_filter(
     lambda b, kernel, border: (row(kernel, b), border),
     clamped_gradients,
 )
-register_filter("median_blur_list", median_blur, lambda b, *window: window, _of_median)
 
 
-def _of_sharpness_reference(
-    images_and_grads: Sequence[Tensor], chosen: Tensor | None, factor: Tensor | None, number: float
-) -> list[Tensor]:
-    images, grads = halves(images_and_grads)
-    each = []
-    for b, (x, g) in enumerate(zip(images, grads)):
-        of_image, _ = _sharpness_backward.reference(g[None], x[None], row(factor, b), number, True, False)
-        each.append(of_image[0] if chosen is None else torch.where(row(chosen, b) != 0, of_image[0], g))
-    return each
+def _of_median(b: int, grad: Tensor, x: Tensor, medians: Sequence[Tensor], *window: Any) -> Tensor:
+    of_image: Tensor = median._backward.reference(grad, x, medians[b][None], *window)
+    return of_image
+
+
+_median_blur_list_backward = register_list_backward(
+    "median_blur_list_backward", median._backward, by_samples(_of_median)
+)
+register_filter(
+    "median_blur_list",
+    median_blur,
+    lambda b, *window: window,
+    of_images=lambda grads, medians, images, chosen, *window: _median_blur_list_backward(
+        [*images, *grads], chosen, list(medians), *window
+    ),
+    saves_results=True,
+)
+
+
+def _of_sharpness(b: int, grad: Tensor, x: Tensor, factor: Tensor | None, number: float) -> Tensor:
+    of_image: Tensor = _sharpness_backward.reference(grad, x, row(factor, b), number, True, False)[0]
+    return of_image
 
 
 _sharpness_list_backward = register_list_backward(
-    "sharpness_list_backward", _sharpness_backward, _of_sharpness_reference
+    "sharpness_list_backward", _sharpness_backward, by_samples(_of_sharpness)
 )
 register_filter(
     "sharpness_list",

@@ -45,7 +45,7 @@ class Operation(NamedTuple):
         first, arguments = (chosen,) if operator in _FILTERS else (), self.arguments
         if chosen is not None and operator in _KEPT:
             arguments = _KEPT[operator](chosen, *arguments)
-        return list(operator(images, *first, *arguments))
+        return list(operator(images, *first, *arguments))[: len(images)]
 
 
 class Operations(NamedTuple):
@@ -143,12 +143,16 @@ def _register(
     gradients: Callable[..., list[Any]],
     supports: Callable[..., str | None] = lambda *args: None,
     dtype: torch.dtype | None = None,
+    saves_results: bool = False,
+    of_channels: Sequence[int] | None = None,
 ) -> ListOperator:
     """The operator on lists, whose results have the sizes of the images."""
 
     def fake(images: Sequence[Tensor], *args: Any) -> list[Tensor]:
         results = lists.fake_results(images, [n for x in images for n in x.shape[-2:]])
-        return results if dtype is None else [y.to(dtype) for y in results]
+        results = results if dtype is None else [y.to(dtype) for y in results]
+        more = [] if of_channels is None else [images[0].new_empty(len(images), images[0].shape[0], *of_channels)]
+        return [*results, *more]
 
     _OF_LISTS[of] = ListOperator(
         name,
@@ -157,6 +161,8 @@ def _register(
         fake=fake,
         backward=gradients,
         supports=supports,
+        saves_results=saves_results,
+        non_differentiable=() if of_channels is None else (-1,),
     )
     return _OF_LISTS[of]
 
@@ -196,6 +202,24 @@ def register_list_backward(
     return ListOperator(name, of, reference, fake=fake, backward=gradients, supports=supports)
 
 
+def by_samples(of_sample: Callable[..., Tensor]) -> Callable[..., list[Tensor]]:
+    """The reference of an operator that gives gradients of a list: its arguments are images and gradients, `chosen` and others.
+
+    `of_sample(b, grad, image, *others)` are those of sample b, as batches.
+    """
+
+    def reference(images_and_grads: Sequence[Tensor], chosen: Tensor | None, *args: Any) -> list[Tensor]:
+        images, grads = lists.halves(images_and_grads)
+        each = [of_sample(b, g[None], x[None], *args)[0] for b, (x, g) in enumerate(zip(images, grads))]
+        return each if chosen is None else _where_chosen(chosen, each, grads)
+
+    return reference
+
+
+def _where_chosen(chosen: Tensor, each: Sequence[Tensor], others: Sequence[Tensor]) -> list[Tensor]:
+    return [torch.where(own != 0, y, x) for own, y, x in zip(chosen.expand(len(each)).unbind(), each, others)]
+
+
 def register_filter(
     name: str,
     of: Operator,
@@ -205,6 +229,8 @@ def register_filter(
     supports: Callable[..., str | None] = lambda *args: None,
     of_images: Callable[..., Sequence[Tensor]] | None = None,
     by_image: Callable[..., Arguments] = lambda images, *args: args,
+    saves_results: bool = False,
+    of_channels: Sequence[int] | None = None,
 ) -> None:
     """The operator on lists of a filter.
 
@@ -222,27 +248,28 @@ def register_filter(
         of_images: the gradients of all images at once, for those of the results, the images, which are chosen and the arguments,
             where no others are wanted.
         by_image: the arguments as `of_sample` takes them, for the images and those of the operator.
+        saves_results: `of_images` takes the results between the gradients and the images.
+        of_channels: sizes behind (B, C) of what the operators return of each channel behind the images; None if nothing.
     """
 
     of_batch = backward or _of_reference(of)
 
     def reference(images: Sequence[Tensor], chosen: Tensor | None, *args: Any) -> list[Tensor]:
         args = by_image(images, *args)
-        each = [_first(of.reference(x[None], *of_sample(b, *args)))[0] for b, x in enumerate(images)]
-        if chosen is None:
-            return each
-        return [torch.where(own != 0, y, x) for own, y, x in zip(chosen.expand(len(images)).unbind(), each, images)]
+        of_each = [of.reference(x[None], *of_sample(b, *args)) for b, x in enumerate(images)]
+        each = [_first(y)[0] for y in of_each]
+        each = each if chosen is None else _where_chosen(chosen, each, images)
+        return each if of_channels is None else [*each, torch.cat([more for _, more in of_each])]
 
-    def gradients(
-        needs: Sequence[bool], grads: Any, images: Sequence[Tensor], chosen: Tensor | None, *args: Any
-    ) -> list[Any]:
+    def gradients(needs: Sequence[bool], grads: Any, *saved: Any) -> list[Any]:
+        results, (images, chosen, *args) = (saved[:1], saved[1:]) if saves_results else ((), saved)
         needs = (needs[0], *needs[2:])  # but for `chosen`
         grads = [torch.zeros_like(x) if g is None else g for g, x in zip(grads, images)]
         own_images: Any = None
         if transposed is not None and needs[0]:
             own_images, needs = _OF_LISTS[transposed](grads, chosen, *args), (False, *needs[1:])
         elif of_images is not None and not any(needs[1:]):
-            own_images, needs = of_images(grads, images, chosen, *args), (False, *needs[1:])
+            own_images, needs = of_images(grads, *results, images, chosen, *args), (False, *needs[1:])
         if not any(needs):
             return [own_images, None, *(None,) * (len(needs) - 1)]
         each, of_each = [], by_image(images, *args)
@@ -257,7 +284,9 @@ def register_filter(
         own_images = [g[0] for g in found] if needs[0] else own_images
         return [own_images, None, *(None if t[0] is None else _of_all(t, x) for t, x in zip(more, args))]
 
-    _FILTERS.add(_register(name, of, reference, gradients, supports))
+    _FILTERS.add(
+        _register(name, of, reference, gradients, supports, saves_results=saves_results, of_channels=of_channels)
+    )
 
 
 def _first(results: Any) -> Tensor:

@@ -68,4 +68,13 @@ struct ReadNeighborsList {
 
 KV_KERNEL(read_neighbors_list, ReadNeighborsList)
 
+// Gradients of pixels are added to those of the pixels that these read. Images are the gradients of results; results
+// are sums in the type that is computed in, on CUDA zeros before. On the CPU an item is an image.
+template <class T>
+struct ReadNeighborsBackwardList : ReadNeighborsList<T> {
+  KV_HD Compute<T>* sums(int b) const { return static_cast<Compute<T>*>(this->list.results[b].data); }
+};
+
+KV_KERNEL(read_neighbors_list_backward, ReadNeighborsBackwardList)
+
 }  // namespace kv::augmentation

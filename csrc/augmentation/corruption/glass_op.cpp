@@ -2,6 +2,7 @@
 #include "augmentation/corruption/glass.h"
 #include "augmentation/noise_glue.h"
 #include "geometry/transform/lists/list_glue.h"
+#include "geometry/transform/lists/list_numbers_glue.h"
 
 namespace kv::augmentation {
 namespace {
@@ -46,31 +47,69 @@ Tensor read_neighbors(Tensor const& images, Tensor const& keys, std::optional<Te
   return y;
 }
 
-// Of images (C, H, W) of different sizes; those that are not `chosen`, (B,) float32, are copied.
-Tensors read_neighbors_list(Tensors const& images, std::optional<Tensor> const& chosen, Tensor const& keys,
-                            std::optional<Tensor> const& seeds, std::optional<Tensor> const& uniform,
-                            std::vector<int64_t> const& plan, int64_t max_delta, int64_t steps) {
-  constexpr char const* op = "read_neighbors_list";
-  geometry::KeptSizes const kept(op, images);
-  check_chosen(op, chosen, kept.largest);
-  NoiseSource const source{op, kept.largest, keys, seeds, plan};
-  check_moves(source, max_delta, steps);
-  KV_CHECK(!uniform, op, ": the numbers of lists are drawn");
-  int64_t const channels = kept.largest.size(1);
-  dispatch_floating_and_uint8(op, kept.largest, [&]<class T>(Type<T>) {
-    ReadNeighborsList<T> p;
+// What moves the pixels of images (C, H, W) of different sizes; those that are not `chosen`, (B,) float32, are copied.
+struct ListedMoves {
+  Tensor const& like;  // stands for a batch
+  std::optional<Tensor> const& chosen;
+  NoiseSource source;
+  int64_t max_delta, steps;
+
+  ListedMoves(char const* op, Tensor const& like, std::optional<Tensor> const& chosen, Tensor const& keys,
+              std::optional<Tensor> const& seeds, std::optional<Tensor> const& uniform,
+              std::vector<int64_t> const& plan, int64_t max_delta, int64_t steps)
+      : like(like), chosen(chosen), source{op, like, keys, seeds, plan}, max_delta(max_delta), steps(steps) {
+    check_chosen(op, chosen, like);
+    check_moves(source, max_delta, steps);
+    KV_CHECK(!uniform, op, ": the numbers of lists are drawn");
+  }
+  // Of the samples from `first` on.
+  template <class T>
+  ReadNeighbors<T> params(size_t first) const {
     ReadNeighbors<T> all{};
     source.set(all.noise);
     set_chosen(all.noise, chosen);
-    all.channels = channels, all.max_delta = int(max_delta), all.steps = int(steps);
+    all.noise.skip(int64_t(first));
+    all.channels = like.size(1), all.max_delta = int(max_delta), all.steps = int(steps);
+    return all;
+  }
+  int64_t cost() const { return 16 * steps + 1; }
+};
+
+Tensors read_neighbors_list(Tensors const& images, std::optional<Tensor> const& chosen, Tensor const& keys,
+                            std::optional<Tensor> const& seeds, std::optional<Tensor> const& uniform,
+                            std::vector<int64_t> const& plan, int64_t max_delta, int64_t steps) {
+  geometry::KeptSizes const kept("read_neighbors_list", images);
+  ListedMoves const moves(kept.op, kept.largest, chosen, keys, seeds, uniform, plan, max_delta, steps);
+  dispatch_floating_and_uint8(kept.op, kept.largest, [&]<class T>(Type<T>) {
+    ReadNeighborsList<T> p;
     auto const items_of = [](geometry::Size size) { return ceil_div(size.height, rows_of_item(size.width)); };
     kept.for_each_table(p.list, images, items_of, [&](size_t first) {
-      p.all = all;
-      p.all.noise.skip(int64_t(first));
-      KV_RUN(read_neighbors_list, kept.largest, p, p.list.items, kItemPixels * (16 * steps + 1));
+      p.all = moves.params<T>(first);
+      KV_RUN(read_neighbors_list, kept.largest, p, p.list.items, kItemPixels * moves.cost());
     });
   });
   return kept.results;
+}
+
+// The gradients of images, for those of the results.
+Tensors read_neighbors_list_backward(Tensors const& grads, std::optional<Tensor> const& chosen, Tensor const& keys,
+                                     std::optional<Tensor> const& seeds, std::optional<Tensor> const& uniform,
+                                     std::vector<int64_t> const& plan, int64_t max_delta, int64_t steps) {
+  constexpr char const* op = "read_neighbors_list_backward";
+  geometry::ListSides const sides(op, grads);
+  ListedMoves const moves(op, sides.largest, chosen, keys, seeds, uniform, plan, max_delta, steps);
+  Tensor const& like = sides.largest;
+  Tensors const sums = sides.empty(Layout::planar, compute_dtype(like));
+  geometry::clear_sums(sums);
+  dispatch_floating(op, like, [&]<class T>(Type<T>) {
+    ReadNeighborsBackwardList<T> p;
+    auto const one = [](geometry::Size) { return int64_t(1); };
+    sides.for_each_table(p.list, grads, sums, Layout::planar, one, [&](size_t first) {
+      p.all = moves.params<T>(first);
+      KV_RUN(read_neighbors_list_backward, like, p, p.list.items, like.size(2) * like.size(3) * moves.cost());
+    });
+  });
+  return geometry::sums_of_type(sums, like.scalar_type());
 }
 
 }  // namespace
@@ -80,6 +119,9 @@ KV_OPERATOR(read_neighbors,
             "-> Tensor")
 KV_OPERATOR(read_neighbors_list,
             "(Tensor[] images, Tensor? chosen, Tensor keys, Tensor? seeds, Tensor? uniform, int[] plan, int max_delta, "
+            "int steps) -> Tensor[]")
+KV_OPERATOR(read_neighbors_list_backward,
+            "(Tensor[] grads, Tensor? chosen, Tensor keys, Tensor? seeds, Tensor? uniform, int[] plan, int max_delta, "
             "int steps) -> Tensor[]")
 
 }  // namespace kv::augmentation

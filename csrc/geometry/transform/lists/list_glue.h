@@ -132,17 +132,13 @@ void for_each_table(ListedSamples& list, size_t count, ImageOf image_of, ResultO
   }
 }
 
-// A list of images (C, H, W) whose results have their sizes and their type: those of an operator, or, `in_block`, dense
-// ones that follow each other in one block.
-struct KeptSizes {
+// A list of images (C, H, W) whose results have their sizes.
+struct ListSides {
   char const* op;
   std::vector<int64_t> sides;
   Tensor largest;  // stands for a batch (B, C, H, W) in checks
-  Layout layout;
-  Tensors results;
-  Tensor block;
 
-  KeptSizes(char const* op, Tensors const& images, bool in_block = false) : op(op) {
+  ListSides(char const* op, Tensors const& images) : op(op) {
     check_image_list(op, "images", images);
     sides.reserve(2 * images.size());
     Tensor const* most = &images[0];
@@ -153,26 +149,43 @@ struct KeptSizes {
     int64_t const count = int64_t(images.size()), channels = most->size(0);
     largest = view_of(*most, {count, channels, most->size(1), most->size(2)},
                       {0, most->stride(0), most->stride(1), most->stride(2)});
-    ListSizes const sizes(op, sides, images.size());
-    if (in_block) {
-      layout = Layout::planar;
-      results = list_in_block(largest, channels, sizes, images.size(), {}, &block);
-    } else {
-      layout = layout_of(as_batch(images[0]));
-      results = empty_list(largest, channels, sizes, images.size(), layout);
-    }
   }
+  ListSizes sizes() const { return {op, sides, sides.size() / 2}; }
+  Tensors empty(Layout layout, std::optional<ScalarType> type = {}) const {
+    return empty_list(largest, largest.size(1), sizes(), sides.size() / 2, layout, type);
+  }
+
+  // Fills tables of images and of results of a layout, and calls run(first sample of the table).
+  template <class ItemsOf, class Run>
+  void for_each_table(ListedSamples& list, Tensors const& images, Tensors const& results, Layout layout,
+                      ItemsOf items_of, Run run) const {
+    if (largest.size(1) == 0) return;
+    ListSizes const all = sizes();
+    list.interleaved = layout == Layout::channels_last;
+    geometry::for_each_table(
+        list, images.size(), [&](size_t b) { return listed(images[b]); }, [&](size_t b) { return listed(results[b]); },
+        [&](size_t b) { return items_of(all[b]); }, run);
+  }
+};
+
+// One whose results have the type of the images, too: those of an operator, or, `in_block`, dense ones that follow each
+// other in one block.
+struct KeptSizes : ListSides {
+  Layout layout;
+  Tensor block;
+  Tensors results;
+
+  KeptSizes(char const* op, Tensors const& images, bool in_block = false)
+      : ListSides(op, images),
+        layout(in_block ? Layout::planar : layout_of(as_batch(images[0]))),
+        results(in_block ? list_in_block(largest, largest.size(1), sizes(), images.size(), {}, &block)
+                         : empty(layout)) {}
   bool interleaved() const { return layout == Layout::channels_last; }
 
   // Fills tables of images, which have the layout, and calls run(first sample of the table).
   template <class ItemsOf, class Run>
   void for_each_table(ListedSamples& list, Tensors const& images, ItemsOf items_of, Run run) const {
-    if (largest.size(1) == 0) return;
-    ListSizes const sizes(op, sides, images.size());
-    list.interleaved = interleaved();
-    geometry::for_each_table(
-        list, images.size(), [&](size_t b) { return listed(images[b]); }, [&](size_t b) { return listed(results[b]); },
-        [&](size_t b) { return items_of(sizes[b]); }, run);
+    ListSides::for_each_table(list, images, results, layout, items_of, run);
   }
 };
 

@@ -11,6 +11,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._choices import Border
 from kvision._dtype import compute_dtype
+from kvision._list_ops import ListOperator
 from kvision._ops import Operator, match_layout, register
 from kvision.augmentation.keys import flatten_draws
 from kvision.augmentation.lists import filter_lists
@@ -89,7 +90,32 @@ def _of_sample(
     return keys, row(seeds, b), row(uniform, b), [*plan[:4], form, first + b], *moves
 
 
-register_filter("read_neighbors_list", read_neighbors, _of_sample, _backward)
+def _sums_reference(grads: Sequence[Tensor], chosen: Tensor | None, *args: Any) -> list[Tensor]:
+    each: Any = [_backward((), g[None], g[None], *_of_sample(b, *args))[0] for b, g in enumerate(grads)]
+    if chosen is None:
+        return [y[0] for y in each]
+    return [torch.where(row(chosen, b) != 0, y[0], g) for b, (y, g) in enumerate(zip(each, grads))]
+
+
+def _read_gradients(needs: Sequence[bool], grad_grads: Any, grads: Any, *args: Any) -> list[Any]:
+    return [_read_neighbors_list(grad_grads, *args), *(None,) * (len(needs) - 1)]
+
+
+_sums_list = ListOperator(
+    "read_neighbors_list_backward",
+    read_neighbors,
+    _sums_reference,
+    fake=lambda grads, *args: [torch.empty_like(g, memory_format=torch.contiguous_format) for g in grads],
+    backward=_read_gradients,
+    nondeterministic=lambda grads, *args: grads[0].is_cuda,
+)
+_read_neighbors_list = register_filter(
+    "read_neighbors_list",
+    read_neighbors,
+    _of_sample,
+    _backward,
+    of_images=lambda grads, images, *args: _sums_list(grads, *args),
+)
 
 
 class Moves(NamedTuple):

@@ -231,7 +231,7 @@ def register_filter(
     by_image: Callable[..., Arguments] = lambda images, *args: args,
     saves_results: bool = False,
     of_channels: Sequence[int] | None = None,
-) -> None:
+) -> ListOperator:
     """The operator on lists of a filter.
 
     Its arguments behind the images are `chosen`, (B,) float32, 0 for images that are copied, or None, and those of the operator
@@ -284,9 +284,9 @@ def register_filter(
         own_images = [g[0] for g in found] if needs[0] else own_images
         return [own_images, None, *(None if t[0] is None else _of_all(t, x) for t, x in zip(more, args))]
 
-    _FILTERS.add(
-        _register(name, of, reference, gradients, supports, saves_results=saves_results, of_channels=of_channels)
-    )
+    operator = _register(name, of, reference, gradients, supports, saves_results=saves_results, of_channels=of_channels)
+    _FILTERS.add(operator)
+    return operator
 
 
 def _first(results: Any) -> Tensor:

@@ -22,6 +22,8 @@ PROGRAMS = {
     "medians": lambda: A.RandomMedianBlur((3, 3), p=0.8),
     "medians of 25": lambda: A.RandomMedianBlur((5, 5), p=0.8),
     "medians of 21": lambda: A.RandomMedianBlur((7, 3), p=0.8),
+    "ringing": lambda: A.RingingOvershoot((3, 3), p=0.8),
+    "glass": lambda: A.GlassBlur(p=0.8),
     "levels": lambda: A.RandomEqualize(p=0.8),
     "levels of tiles": lambda: A.RandomClahe((1.0, 40.0), (3, 2), p=0.8),
     "range": lambda: A.RandomAutoContrast(p=0.8),
@@ -75,12 +77,15 @@ def test_other_channels_and_long_lists(device):
         assert_close(gradient, x.detach() - 1)
 
 
-LONG = ["jitter", "sharpness", "medians", "levels", "range", "means of channels", "illumination", "speckle", "erasing"]
+LONG = [
+    *("jitter", "sharpness", "medians", "ringing", "glass", "levels", "range", "means of channels"),
+    *("illumination", "speckle", "erasing"),
+]
 
 
 @pytest.mark.parametrize("name", LONG)
 def test_lists_longer_than_a_table(name, device):
-    images = [torch.rand(3, 5 + i % 5, 6 + i % 3, device=device, requires_grad=True) for i in range(520)]
+    images = [torch.rand(3, 6 + i % 5, 7 + i % 3, device=device, requires_grad=True) for i in range(520)]
     augment, seeds = PROGRAMS[name](), seeds_of(images)
     found = torch.autograd.grad([y.square().sum() for y in augment(images, seed=seeds)], images)
     for b in (0, 255, 256, 257, 511, 512, 519):
@@ -115,7 +120,7 @@ def test_gradients_of_images_of_one_size_are_those_of_a_batch(name, device):
 def test_an_image_that_appears_twice_gets_both_gradients(device):
     first, second = pictures(device, [(16, 17), (33, 20)])
     first.requires_grad_()
-    for name in ("medians", "range", "levels", "means of channels", "sharpness"):
+    for name in ("medians", "ringing", "glass", "range", "levels", "means of channels", "sharpness"):
         augment, seeds = PROGRAMS[name](), torch.arange(3, device=device)
         results = augment([first, second, first], seed=seeds)
         grads = [torch.rand_like(y) for y in results]
@@ -138,7 +143,7 @@ def test_gradients_of_factors_that_differ_by_the_number_of_the_image(device):
 
 @pytest.mark.derivatives
 @pytest.mark.parametrize(
-    "name", ["channels", "one mean", "jitter", "sharpness", "medians", "range", "means of channels", "fog"]
+    "name", ["channels", "one mean", "jitter", "sharpness", "medians", "ringing", "range", "means of channels", "fog"]
 )
 def test_second_derivatives(name, device):
     augment, images = PROGRAMS[name](), pictures(device, SIZES[:2], torch.float64)

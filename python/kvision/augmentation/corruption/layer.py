@@ -12,7 +12,7 @@ from kvision._clamp import clamp
 from kvision._constants import constant
 from kvision._dtype import compute_dtype
 from kvision._ops import match_layout, register
-from kvision.geometry.transform.lists.arguments import halves, row, sizes
+from kvision.geometry.transform.lists.arguments import halves, largest_shape, row, sizes
 from kvision.geometry.transform.lists.kept_sizes import Operation, register_filter, register_list_backward
 from kvision.geometry.transform.lists.remap_list import unpacked
 
@@ -84,6 +84,13 @@ register_filter(
     of_images=lambda grads, images, *args: _add_layer_list_backward([*images, *grads], *args),
     by_image=_by_image,
 )
+
+
+def clamp_gradients(images: Sequence[Tensor], grads: Sequence[Tensor], chosen: Tensor | None) -> Sequence[Tensor]:
+    """The gradients of images (C, H, W), for those of what clamps them to [0, 1] where they are `chosen`: a layer of factor 0."""
+    as_they_are = constant((((1.0, 0.0, 0.0, 0.0),),), images[0], compute_dtype(images[0]))
+    layer = as_they_are[..., 1:2, None].expand(1, 1, *largest_shape(images)[-2:])
+    return _add_layer_list_backward([*images, *grads], chosen, layer, None, as_they_are)
 
 
 def layered(layer: Tensor, *factors: Tensor | float, windows: Tensor | None = None) -> Operation:

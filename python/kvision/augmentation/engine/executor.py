@@ -22,7 +22,7 @@ from kvision.augmentation.engine.execution import (
     matrix_type,
 )
 from kvision.augmentation.keys import Seed
-from kvision.augmentation.lists.conversions import bytes_of_float_images, floats_of_byte_images
+from kvision.augmentation.lists.conversions import bytes_of_float_images, in_type
 from kvision.augmentation.samples import where_chosen
 from kvision.augmentation.warp_and_color import SAME, Output, Pass, make_pass
 from kvision.color.scale_shift import bytes_of_floats, floats_of_bytes
@@ -182,7 +182,7 @@ class Executor(Drawing):
     def _run_list(self, images: Sequence[Tensor], execution: Execution) -> list[Tensor]:
         """Execute on a list of images (C, H, W) of a type that it operates on."""
         if images[0].dtype == torch.uint8 and not self.accepts_bytes:
-            return bytes_of_float_images(self._run_list(floats_of_byte_images(images), execution))
+            return bytes_of_float_images(self._run_list(in_type(torch.float32, images), execution))
         like = smallest_batch(images) if self.filters_chosen else like_batch(images)
         columns = None if execution.is_certain else execution.columns
         chosen = None if columns is None or columns.chosen is None else columns.chosen.float()

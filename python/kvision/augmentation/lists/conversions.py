@@ -1,4 +1,4 @@
-"""Images of lists in floats and in bytes, each by one launch."""
+"""Images of lists in another type, each by one launch."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ def _conversion(dtype: torch.dtype) -> Pass:
     return make_pass(None, parts=[ColorPart([copied])], output=Output(dtype))
 
 
-_TO_FLOATS, _TO_BYTES = _conversion(torch.float32), _conversion(torch.uint8)
+_TO = {dtype: _conversion(dtype) for dtype in (torch.float16, torch.bfloat16, torch.float32, torch.uint8)}
 
 
-def floats_of_byte_images(images: Sequence[Tensor]) -> list[Tensor]:
-    """Images (C, H, W) of bytes in [0, 1], float32."""
-    return run_on_list(_TO_FLOATS, images)
+def in_type(dtype: torch.dtype, images: Sequence[Tensor]) -> list[Tensor]:
+    """Images (C, H, W) in a type of floats of at most 32 bits; bytes are in [0, 1] then."""
+    return run_on_list(_TO[dtype], images)
 
 
 def bytes_of_float_images(images: Sequence[Tensor]) -> list[Tensor]:
     """Images (C, H, W) in [0, 1], which they are clamped to, in bytes, without a gradient."""
-    return run_on_list(_TO_BYTES, [x.detach() for x in images])
+    return run_on_list(_TO[torch.uint8], [x.detach() for x in images])
 
 
 def run_on_list(colors: Pass, images: Sequence[Tensor]) -> list[Tensor]:

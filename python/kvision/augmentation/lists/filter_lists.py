@@ -5,10 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import torch
 from torch import Tensor
 
+from kvision._dtype import compute_dtype
 from kvision._list_ops import ListOperator
 from kvision._ops import Operator
+from kvision.augmentation.corruption.layer import clamp_gradients
+from kvision.augmentation.lists.conversions import in_type
 from kvision.enhance.sharpness import _sharpness as sharpness
 from kvision.enhance.sharpness import _sharpness_backward
 from kvision.filters.filter2d import _filter2d as filter2d
@@ -23,7 +27,7 @@ box_blur, gaussian_blur2d, median_blur = box._box_blur, gaussian._gaussian_blur2
 
 def _register_filter(
     name: str, of: Operator, transposed: Operator, gradients: Callable[..., Any] | None = None
-) -> None:
+) -> ListOperator:
     """A linear filter, whose first argument is a tensor or None where `gradients` has the gradient of it."""
 
     def of_sample(b: int, *args: Any) -> tuple[Any, ...]:
@@ -32,7 +36,7 @@ def _register_filter(
     def others(needs: Any, grad: Tensor, x: Tensor, *args: Any) -> Any:
         return [None] if gradients is None else [None, gradients(grad, x, *args)]
 
-    register_filter(name, of, of_sample, others, transposed)
+    return register_filter(name, of, of_sample, others, transposed)
 
 
 def _of_kernel(grad: Tensor, x: Tensor, kernel: Tensor, *rest: Any) -> Tensor:
@@ -49,15 +53,32 @@ _register_filter(
     gaussian_blur2d,
     lambda grad, x, *blur: gaussian.sigma_gradient(x, grad, *blur),
 )
-_register_filter("filter2d_list", filter2d, _filter2d_backward, _of_kernel)
-_register_filter(
+_filter2d_list = _register_filter("filter2d_list", filter2d, _filter2d_backward, _of_kernel)
+_filter2d_backward_list = _register_filter(
     "filter2d_backward_list", _filter2d_backward, filter2d, lambda grad, x, *args: _of_kernel(x, grad, *args)
 )
+
+
+def _of_clamped(
+    grads: Sequence[Tensor], images: Sequence[Tensor], chosen: Tensor | None, kernel: Tensor, border: int
+) -> Sequence[Tensor]:
+    """Those of images: they are filtered again, in the type that is computed in, to see what was clamped."""
+    dtype = images[0].dtype
+    is_half = dtype != compute_dtype(images[0])
+    if is_half:
+        images, grads = in_type(torch.float32, images), in_type(torch.float32, grads)
+    window = (chosen, kernel, border, True)
+    of_results = clamp_gradients(_filter2d_list(images, *window), grads, chosen)
+    of_images = _filter2d_backward_list(of_results, *window)
+    return in_type(dtype, of_images) if is_half else of_images
+
+
 register_filter(
     "filter2d_clamped_list",
     filter2d_clamped,
     lambda b, kernel, border: (row(kernel, b), border),
     clamped_gradients,
+    of_images=_of_clamped,
 )
 
 

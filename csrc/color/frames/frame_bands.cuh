@@ -12,8 +12,7 @@
 // box takes more than the tables have room for, each thread computes the windows of its pixels.
 #pragma once
 
-#include "core/row_prefetcher.cuh"
-#include "frames.cuh"
+#include "frame_steps.cuh"
 
 namespace kv::color::cuda {
 namespace {
@@ -24,10 +23,6 @@ constexpr int band_warps(int code_bytes, bool is_plain) { return code_bytes == 1
 constexpr int kBandBlocks = 4;
 constexpr int kSpan = 32 * kOwn;
 constexpr int kAtOnce = 2;  // rows of the result between down and across
-constexpr int kRing = 8, kAhead = kRing - 1;
-constexpr int kMinBandRows = 4, kMaxBandRows = 32;
-// Rows of codes are added to at most as many rows of the result at once, of luma and of chroma.
-constexpr int kLumaRows = 2, kChromaRows = 3;
 // The sums of a row: even columns of luma, odd ones, pairs of chroma. Where a frame shrinks to a half, threads read
 // every second column: then they read neighbors. Odd columns begin in another half of the banks.
 constexpr int kOddColumns = kSpan / 2 + 16, kChromaSums = kSpan + 16, kRowSums = 2 * kSpan + 16;
@@ -48,77 +43,6 @@ struct BandPlan {
   }
   int64_t bytes(int code_bytes) const { return int64_t(4) * warps * words(code_bytes) + int64_t(16) * steps; }
 };
-
-// A row of codes, and its weights in the rows of the result, which are numbered from 0 again after the last one that
-// takes rows of codes at once.
-struct alignas(16) BandStep {
-  static constexpr uint32_t kChroma = 1u << 31;  // added to those of chroma
-  float weights[3];
-  uint32_t at;  // bytes behind the first row
-
-  __device__ __forceinline__ bool is_chroma() const { return int(at) < 0; }
-  __device__ __forceinline__ int offset() const { return int(at & ~kChroma); }
-
-  static __device__ __forceinline__ BandStep load(BandStep const* from) {
-    auto const words = *reinterpret_cast<Vector<uint32_t, 4> const*>(from);
-    return {{__uint_as_float(words.v[0]), __uint_as_float(words.v[1]), __uint_as_float(words.v[2])}, words.v[3]};
-  }
-};
-
-// The rows of luma or of chroma that rows of the result take.
-struct BandRanges {
-  int first[kMaxBandRows], last[kMaxBandRows];
-
-  __device__ __forceinline__ int begin_of(int i, bool rolling) const {
-    return rolling && i > 0 ? max(first[i], last[i - 1]) : first[i];
-  }
-  __device__ __forceinline__ int steps_of(int i, bool rolling) const { return max(last[i] - begin_of(i, rolling), 0); }
-  // Whether no row of codes is taken by more than N rows of the result, which are neighbors.
-  template <int N>
-  __device__ __forceinline__ bool can_roll(int i, int count) const {
-    return (i + N >= count || last[i] <= first[i + N]) &&
-           (i + 1 >= count || (first[i] <= first[i + 1] && last[i] <= last[i + 1]));
-  }
-  // The steps of row i.
-  template <int N, class Weight>
-  __device__ __forceinline__ void write(BandStep* steps, int i, int count, bool rolling, int stride, uint32_t kind,
-                                        Weight weight) const {
-    int const begin = begin_of(i, rolling), own = steps_of(i, rolling);
-    for (int k = 0; k < own; ++k) {
-      BandStep step{{}, uint32_t((begin + k) * stride) | kind};
-#pragma unroll
-      for (int n = 0; n < N; ++n)
-        if (n == 0 || (rolling && i + n < count)) {
-          float const w = weight(n, begin + k);
-#pragma unroll
-          for (int slot = 0; slot < N; ++slot)
-            if ((i + n) % N == slot) step.weights[slot] = w;
-        }
-      steps[k] = step;
-    }
-  }
-};
-
-// Exact for 1, else within an ulp.
-__device__ __forceinline__ float inverse(float x) { return __fdividef(1.f, x); }
-
-template <class S, class T>
-__device__ __noinline__ void run_each_window(PlanesToRgb<T> const& p, int64_t frame, int x0, int y0, int columns,
-                                             int rows) {
-  BoxAxis<float> const box_x = p.box_axis(frame, false), box_y = p.box_axis(frame, true);
-  for (int i = int(threadIdx.x % 32); i < columns * rows; i += 32) {
-    int const x = x0 + i % columns, y = y0 + i / columns;
-    PixelWindow<float> const wx = box_x.window(x), wy = box_y.window(y);
-    float sums[3];
-    sum_windows(wx, wy, p.x, p.y, Reader<S, T>{p, frame}, sums);
-    float const factor = 1 / (wx.sum() * wy.sum());
-#pragma unroll
-    for (float& sum : sums) sum *= factor;
-#pragma unroll
-    for (int k = 0; k < 3; ++k)
-      p.rgb.row(3 * frame + k, y)[x] = round_to<T>(channel_of(p.colors, k, sums[0], sums[1], sums[2]));
-  }
-}
 
 // Where the sums that a column takes begin: of even taps of luma, of odd ones, and of chroma.
 struct ColumnSums {
@@ -178,8 +102,7 @@ template <class S, class T, bool Plain>
 __global__ void __launch_bounds__(32 * band_warps(sizeof(S), Plain), kBandBlocks)
     run_bands(__grid_constant__ PlanesToRgb<T> const p, __grid_constant__ BandPlan const plan) {
   extern __shared__ __align__(16) float memory[];
-  __shared__ BandRanges luma_rows, chroma_rows;
-  __shared__ int step_end[kMaxBandRows];
+  __shared__ BandRows band;
   int const lane = int(threadIdx.x % 32), warp = int(threadIdx.x / 32);
   BandStep* const steps = reinterpret_cast<BandStep*>(memory);
   float* const sums = memory + 4 * plan.steps + warp * plan.words(sizeof(S));
@@ -189,43 +112,7 @@ __global__ void __launch_bounds__(32 * band_warps(sizeof(S), Plain), kBandBlocks
   int const x0 = (int(blockIdx.x) * plan.warps + warp) * plan.columns, y0 = int(blockIdx.y) * plan.rows;
   int const columns = min(plan.columns, int(p.rgb.width) - x0), rows = min(plan.rows, int(p.rgb.height) - y0);
   for (int64_t frame = blockIdx.z; frame < p.rgb.count() / 3; frame += gridDim.z) {
-    BoxAxis<float> const box_y = p.box_axis(frame, true);
-    // The rows of the band are taken from the top of the frame to its bottom.
-    bool const is_mirrored = box_y.scale < 0, has_row = lane < rows;
-    auto const window_of = [&](int i) { return box_y.window(is_mirrored ? y0 + rows - 1 - i : y0 + i); };
-    for (int kind = warp; kind < 2; kind += plan.warps)
-      if (has_row) {
-        PixelWindow<float> const w = window_of(lane);
-        BandRanges& own_rows = kind ? chroma_rows : luma_rows;
-        own_rows.first[lane] = kind ? w.first_chroma(p.y) : w.first;
-        own_rows.last[lane] = kind ? w.last_chroma(p.y) : w.last;
-      }
-    __syncthreads();
-    for (int kind = warp; kind < 2; kind += plan.warps) {
-      bool const rolls_luma = __all_sync(0xffffffffu, !has_row || luma_rows.can_roll<kLumaRows>(lane, rows));
-      bool const rolls_chroma = __all_sync(0xffffffffu, !has_row || chroma_rows.can_roll<kChromaRows>(lane, rows));
-      int const luma_steps = has_row ? luma_rows.steps_of(lane, rolls_luma) : 0;
-      int end = luma_steps + (has_row ? chroma_rows.steps_of(lane, rolls_chroma) : 0);
-      int const own_steps = end;
-#pragma unroll
-      for (int k = 1; k < 32; k *= 2) {
-        int const before = __shfl_up_sync(0xffffffffu, end, k);
-        if (lane >= k) end += before;
-      }
-      if (has_row && kind == 0) step_end[lane] = end;
-      if (!has_row || end > plan.steps) continue;
-      PixelWindow<float> const w[] = {window_of(lane), window_of(min(lane + 1, rows - 1)),
-                                      window_of(min(lane + 2, rows - 1))};
-      float const factor[] = {inverse(w[0].sum()), inverse(w[1].sum()), inverse(w[2].sum())};
-      BandStep* const own = steps + end - own_steps;
-      if (kind == 0)
-        luma_rows.write<kLumaRows>(own, lane, rows, rolls_luma, int(p.planes[0].row_stride) * int(sizeof(S)), 0,
-                                   [&](int n, int row) { return w[n].weight(row) * factor[n]; });
-      else
-        chroma_rows.write<kChromaRows>(own + luma_steps, lane, rows, rolls_chroma,
-                                       int(p.planes[1].row_stride) * int(sizeof(S)), BandStep::kChroma,
-                                       [&](int n, int row) { return w[n].chroma_weight(p.y, row) * factor[n]; });
-    }
+    bool const is_mirrored = band.set(p, frame, y0, rows, plan.warps, plan.steps, sizeof(S), true, steps);
 
     // The columns of the frame, `own` threads of them from `from` on.
     BoxAxis<float> const box_x = p.box_axis(frame, false);
@@ -270,7 +157,7 @@ __global__ void __launch_bounds__(32 * band_warps(sizeof(S), Plain), kBandBlocks
         }
       }
     __syncthreads();
-    int const last_step = step_end[rows - 1];
+    int const last_step = band.step_end[rows - 1];
     if (last_step > plan.steps || !has_columns) {
       if (columns > 0) run_each_window<S>(p, frame, x0, y0, columns, rows);
     } else if (columns > 0) {
@@ -298,7 +185,7 @@ __global__ void __launch_bounds__(32 * band_warps(sizeof(S), Plain), kBandBlocks
         int const count = min(kAtOnce, rows - done);
 #pragma unroll 1
         for (int r = 0; r < count; ++r) {
-          int const end_of_row = step_end[done + r];
+          int const end_of_row = band.step_end[done + r];
 #pragma unroll 1
           for (; next < end_of_row; ++next) {
             ask(next + kAhead);
@@ -324,12 +211,6 @@ __global__ void __launch_bounds__(32 * band_warps(sizeof(S), Plain), kBandBlocks
             }
           }
           float* const to_sums = sums + r * kRowSums + kOwn / 2 * lane;
-          // Stored, and 0 for the next row that is added up there.
-          auto const take = [](float& x) {
-            float const value = x;
-            x = 0;
-            return value;
-          };
 #pragma unroll
           for (int n = 0; n < kLumaRows; ++n)
             if (n == luma_slot) {
@@ -398,22 +279,13 @@ bool plan_bands(PlanesToRgb<T> const& p, CodeRowsPlan const& codes, BandPlan& pl
   float const room = float(kSpan - kOwn - 4) - 2 * across.support;
   if (room < across.scale) return false;
   int const most_columns = whole_within(room / across.scale, 1, kSpan);
-  auto const divided = [](int size, int most) { return int(ceil_div(size, ceil_div(size, most))); };
   for (int most = min(width, most_columns);; most /= 2) {
     plan.columns = divided(width, most);
     int const warps_across = int(ceil_div(width, plan.columns));
     plan.warps = divided(warps_across, most_warps);
-    // As many rows as fill all multiprocessors a whole number of times.
-    int64_t const columns_of_bands = p.rgb.count() / 3 * ceil_div(warps_across, plan.warps);
-    int64_t const at_once = int64_t(kBandBlocks * most_warps / plan.warps) * multiprocessors();
-    int64_t const times = ceil_div(columns_of_bands * height, at_once * kMaxBandRows);
-    int64_t const down_count = clamp(times * at_once / columns_of_bands, int64_t(1), int64_t(height));
-    plan.rows =
-        int(clamp(ceil_div(int64_t(height), down_count), int64_t(min(kMinBandRows, height)), int64_t(kMaxBandRows)));
-    int const reads = p.antialias ? int(float(plan.rows) * down.scale + 2 * down.support) + 3 : 0;
-    // Rows of interpolated chroma are taken by more rows of the result than are added up at once.
-    int const each_row = p.y.site == ChromaSite::nearest ? 3 : max(3, int(down.support) + 3);
-    plan.steps = max(2 * plan.rows, reads) + max(each_row * plan.rows, reads);
+    plan.rows = band_rows(p.rgb.count() / 3 * ceil_div(warps_across, plan.warps), height,
+                          int64_t(kBandBlocks * most_warps / plan.warps) * multiprocessors());
+    plan.steps = most_steps(p, down, plan.rows);
     if (plan.bytes(p.code_bytes) <= max_shared_bytes(72 << 10)) return true;
     if (most < 16) return false;
   }

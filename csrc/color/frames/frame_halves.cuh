@@ -7,8 +7,6 @@
 // Beyond the frame there are zeros, and pixels at its border are divided by the weights within.
 #pragma once
 
-#include <utility>
-
 #include "frames.cuh"
 
 namespace kv::color::cuda {
@@ -146,10 +144,7 @@ bool are_halves(PlanesToRgb<T> const& p, CodeRowsPlan const& codes) {
 template <class T>
 int launch_halves(PlanesToRgb<T> p, CUstream_st* stream) {
   for (float& x : p.colors.matrix) x /= 64;
-  if (p.planes[2].data < p.planes[1].data) {  // v before u: the kernel takes the first for u
-    std::swap(p.planes[1], p.planes[2]);
-    for (int k = 0; k < 3; ++k) std::swap(p.colors.matrix[3 * k + 1], p.colors.matrix[3 * k + 2]);
-  }
+  take_first_for_u(p);
   HalfPlan plan{int(ceil_div(p.x.size, kHalfLanes * kOwn)), 1, 1, CodeRowsPlan{}.exponent};
   int64_t const strips = p.rgb.count() / 3 * plan.strips, at_once = int64_t(24) * multiprocessors();
   int64_t const times = ceil_div(strips * p.rgb.height, at_once * 64);

@@ -1,14 +1,14 @@
 // Frames of video on CUDA, in one launch: each code is read from device memory once, by the caches.
 //
 // whole     of codes that are integers a thread takes eight adjacent columns of a row of chroma, and its rows of luma,
-// of
-//           others four adjacent pixels of a row; where chroma is interpolated, the frame is a box.
-// boxes     of codes that are integers are bands (frame_bands.cuh), or halves (frame_halves.cuh). Of others a block
-// takes
-//           32 columns of 32 rows. What these take of the planes, and with which weights, is in shared memory. Windows
-//           that are larger than that are computed by each thread for itself.
+//           of others four adjacent pixels of a row; where chroma is interpolated, the frame is a box.
+// boxes     of codes that are integers are bands (frame_bands.cuh), columns (frame_columns.cuh), or halves
+//           (frame_halves.cuh). Of others a block takes 32 columns of 32 rows. What these take of the planes, and with
+//           which weights, is in shared memory. Windows that are larger than that are computed by each thread for
+//           itself.
 // matrices  a thread takes a pixel.
 #include "frame_bands.cuh"
+#include "frame_columns.cuh"
 #include "frame_halves.cuh"
 
 namespace kv::color::cuda {
@@ -262,6 +262,10 @@ int run(PlanesToRgb<T> p, CUstream_st* stream) {
       }
       if constexpr (sizeof(S) == 1)
         if (are_halves(p, codes)) return launch_halves(p, stream);
+      if constexpr (sizeof(S) == 1 && sizeof(T) <= 2) {
+        ColumnPlan plan{};
+        if (plan_columns(p, codes, plan)) return launch_columns(p, plan, stream);
+      }
       BandPlan plan{};
       if (plan_bands(p, codes, plan)) return launch_bands<S>(p, plan, stream);
     }

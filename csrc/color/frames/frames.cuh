@@ -1,6 +1,8 @@
 // How kernels of frames read and write codes.
 #pragma once
 
+#include <utility>
+
 #include "core/launch.cuh"
 #include "core/nan_min_max.cuh"
 #include "core/row_prefetcher.cuh"
@@ -218,6 +220,14 @@ bool plan_rows(PlanesToRgb<T> const& p, CodeRowsPlan& plan) {
                                    : are_vectors(u, kOwn * size, min(address(u), address(v)));
   plan.is_plain = !is_packed && !has_planes && plan.luma_vectors && plan.chroma_vectors && p.x.size % kOwn == 0;
   return true;
+}
+
+// Where pairs of chroma are v and u, has kernels take the first one for u.
+template <class T>
+void take_first_for_u(PlanesToRgb<T>& p) {
+  if (p.planes[2].data >= p.planes[1].data) return;
+  std::swap(p.planes[1], p.planes[2]);
+  for (int k = 0; k < 3; ++k) std::swap(p.colors.matrix[3 * k + 1], p.colors.matrix[3 * k + 2]);
 }
 
 // The codes of a thread's columns in a row: of luma, or u and v in turns.

@@ -109,6 +109,7 @@ template <class T>
 int resize_windows_list(ResizeWindowsList<T> const& params, CUstream_st* stream) {
   ResizeWindowsList<T> p = params;
   if constexpr (sizeof(T) < 8) {
+    if (int const error = resize_strips_list(p, stream); error != kUnsupported) return error;
     bool fits, near;
     ResizeWindows<T> const largest = largest_of(p, fits, near);
     int const error = fits ? resize_tiles(p, largest, near, stream) : kUnsupported;

@@ -27,6 +27,12 @@ KV_HD ResizeWindows<T> sample_at(ResizeWindowsList<T> const& p, int b) {
 
 KV_KERNEL(resize_windows_list, ResizeWindowsList)
 
+namespace cuda {
+// For windows that are whole images, which shrink; others are not served.
+template <class T>
+int resize_strips_list(ResizeWindowsList<T> p, CUstream_st* stream);
+}  // namespace cuda
+
 // On the CPU an item is some rows of a result, where rows of all planes follow each other, or backward a plane. On CUDA
 // the launcher divides the results.
 inline int64_t items_of_windows(int64_t channels, bool interleaved, int64_t height, int64_t width, bool backward) {

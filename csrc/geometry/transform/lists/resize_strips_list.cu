@@ -1,0 +1,109 @@
+// Antialiased resizing that shrinks whole images of lists on CUDA, in one launch: a block finds its image in the table,
+// and resizes as blocks of batches do.
+#include "geometry/transform/lists/resize_windows_list.h"
+#include "geometry/transform/resize/resize_strips.cuh"
+
+namespace kv::geometry::cuda {
+namespace {
+
+template <class T>
+KV_HD Resize<T> strip_sample_at(ResizeWindowsList<T> const& p, int b) {
+  ResizeWindows<T> const one = sample_at(p, b);
+  return {one.x, one.y, one.resize_axis(one.window(0, 1), 1), one.resize_axis(one.window(0, 0), 0)};
+}
+
+// The sample that a block takes, and its strips, in shared memory.
+template <class T>
+struct StripBlock {
+  Resize<T> sample;
+  ResizeStrips strips;
+  bool aligned;
+  unsigned block;  // among those of the sample
+
+  // `strips`: the rows and the warps that all samples have in common.
+  template <class S>
+  static __device__ __forceinline__ void init(void* memory, ResizeWindowsList<T> const& p, ResizeStrips strips) {
+    int const b = p.list.sample_of(int(blockIdx.x));
+    Resize<T> const sample = strip_sample_at(p, b);
+    bool const aligned = strips_are_aligned<S>(sample.x);
+    divide_columns<S>(sample, aligned, strips);
+    divide_rows(sample, strips.rows, strips);
+    new (memory) StripBlock{sample, strips, aligned, blockIdx.x - unsigned(p.list.first[b])};
+  }
+};
+
+template <class T, int M>
+__global__ void __launch_bounds__(kThreads, kBlocks)
+    resize_list_strips(__grid_constant__ ResizeWindowsList<T> const p, ResizeStrips const strips) {
+  __shared__ __align__(16) unsigned char memory[sizeof(StripBlock<T>)];
+  if (threadIdx.x == 0) StripBlock<T>::template init<StripOf<T, M, true>>(memory, p, strips);
+  __syncthreads();
+  auto const& own = *reinterpret_cast<StripBlock<T> const*>(memory);
+  resize_block<T, M, true>(own.sample, own.strips, own.aligned, own.block);
+}
+
+template <class T, int M>
+int launch(ResizeWindowsList<T>& p, CUstream_st* stream) {
+  using S = StripOf<T, M, true>;
+  // With few planes of each image, warps that have none cost less than tables of more rows.
+  int64_t const planes = p.list.interleaved ? 1 : p.channels;
+  int const warps_down = warps_down_of(planes, 0.35);
+  int64_t const groups = ceil_div(planes, int64_t(kWarps / warps_down));
+  // A sample that needs as much shared memory as any, and how many strips of columns each one has.
+  Resize<T> largest = strip_sample_at(p, 0);
+  ResizeStrips strips{};
+  strips.warps_down = warps_down;
+  unsigned across[kMaxListed];
+  int64_t columns = 0, height = 0;
+  for (int b = 0; b < p.list.count; ++b) {
+    Resize<T> const one = strip_sample_at(p, b);
+    if (one.rows.max_readers > min(M, one.rows.max_taps) || one.x.row_stride * int64_t(sizeof(T)) > INT32_MAX)
+      return kUnsupported;
+    ResizeStrips own;
+    if (!divide_columns<S>(one, strips_are_aligned<S>(one.x), own)) return kUnsupported;
+    across[b] = own.across;
+    columns += groups * own.across;
+    height = max(height, one.y.height);
+    strips.elements = max(strips.elements, own.elements), strips.lines = max(strips.lines, own.lines);
+    largest.x.height = max(largest.x.height, one.x.height);
+    largest.columns.max_taps = max(largest.columns.max_taps, one.columns.max_taps);
+    largest.rows.max_taps = max(largest.rows.max_taps, one.rows.max_taps);
+    if (one.rows.num * largest.rows.den > largest.rows.num * one.rows.den)
+      largest.rows.num = one.rows.num, largest.rows.den = one.rows.den;
+  }
+  auto const bytes_of = [&](int64_t rows) { return strip_bytes<S, true>(largest, strips, rows); };
+  int64_t const most = most_rows(bytes_of), resident = resident_blocks(bytes_of(most));
+  if (most == 0) return kUnsupported;
+  // Blocks take as long as their images are large: there are some more than run at once.
+  height = ceil_div(height, int64_t(warps_down));
+  strips.rows = strip_height(columns, height, 6, resident, resident, min(height, int64_t(8)), min(most, int64_t(32)));
+  int64_t blocks = 0;
+  for (int b = 0; b < p.list.count; ++b) {
+    p.list.first[b] = int(blocks);
+    blocks += groups * across[b] * ceil_div(int64_t(p.list.results[b].height), int64_t(strips.rows) * warps_down);
+  }
+  if (blocks > INT32_MAX) return kUnsupported;
+  int64_t const bytes = bytes_of(strips.rows);
+  auto* const kernel = resize_list_strips<T, M>;
+  if (int const error = cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, int(bytes)))
+    return error;
+  kernel<<<unsigned(blocks), kThreads, unsigned(bytes), stream>>>(p, strips);
+  return cudaGetLastError();
+}
+
+}  // namespace
+
+template <class T>
+int resize_strips_list(ResizeWindowsList<T> p, CUstream_st* stream) {
+  if (p.all.backward || p.all.matrices) return kUnsupported;
+  return p.all.filter == ResizeFilter::bilinear  ? launch<T, 2>(p, stream)
+         : p.all.filter == ResizeFilter::bicubic ? launch<T, 4>(p, stream)
+                                                 : kUnsupported;
+}
+
+template int resize_strips_list(ResizeWindowsList<float>, CUstream_st*);
+template int resize_strips_list(ResizeWindowsList<Half>, CUstream_st*);
+template int resize_strips_list(ResizeWindowsList<BFloat16>, CUstream_st*);
+template int resize_strips_list(ResizeWindowsList<uint8_t>, CUstream_st*);
+
+}  // namespace kv::geometry::cuda

@@ -166,11 +166,16 @@ template <class Change, class T>
 __global__ void __launch_bounds__(kNoiseThreads) change_list(__grid_constant__ PixelNoiseList<T> const p) {
   int const b = p.list.sample_of(int(blockIdx.x));
   PixelNoise<T> const one = p.sample(b);
-  int64_t const i = int64_t(int(blockIdx.x) - p.list.first[b]) * kNoiseThreads + threadIdx.x;
-  if (sizeof(T) < 8 && has_whole_vectors(one))
-    Change::template run<(sizeof(T) < 8)>(one, 0, i);
-  else
-    Change::template run<false>(one, 0, i);
+  int64_t const first = int64_t(int(blockIdx.x) - p.list.first[b]) * (kListedRuns * kNoiseThreads) + threadIdx.x;
+  bool const vectorized = sizeof(T) < 8 && has_whole_vectors(one);
+#pragma unroll 1
+  for (int run = 0; run < kListedRuns; ++run) {
+    int64_t const i = first + run * kNoiseThreads;
+    if (vectorized)
+      Change::template run<(sizeof(T) < 8)>(one, 0, i);
+    else
+      Change::template run<false>(one, 0, i);
+  }
 }
 
 template <class Change, class T>

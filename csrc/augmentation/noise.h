@@ -101,13 +101,13 @@ struct PixelNoiseList {
   }
 };
 
-// On the CPU an item is a chunk of pixels, on CUDA a block of threads.
+// On the CPU an item is a chunk of pixels, on CUDA kListedRuns of a block of threads, which finds its sample once.
 KV_KERNEL(gaussian_noise_list, PixelNoiseList)
 KV_KERNEL(uniform_noise_list, PixelNoiseList)
 KV_KERNEL(salt_and_pepper_list, PixelNoiseList)
 KV_KERNEL(shot_noise_list, PixelNoiseList)
 
-constexpr int kNoiseThreads = 256;
+constexpr int kNoiseThreads = 256, kListedRuns = 4;
 
 // What becomes of the pixels of a word: with unit(word) below the amount they are hit, below that times `fraction` by
 // salt.

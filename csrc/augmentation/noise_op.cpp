@@ -126,7 +126,7 @@ Tensors run_noise_list(char const* op, Tensors const& images, Tensor const& para
   auto const items_of = [&](geometry::Size size) {
     int64_t const pixels = size.height * size.width;
 #if defined(KV_CUDA)
-    return ceil_div((by_pixel ? 1 : channels) * ceil_div(pixels, 4), kNoiseThreads);
+    return ceil_div((by_pixel ? 1 : channels) * ceil_div(pixels, 4), kListedRuns * kNoiseThreads);
 #else
     return ceil_div(pixels, kNoiseChunk);
 #endif

@@ -119,7 +119,7 @@ struct GroupRows {
 
   struct Fetched {
     Word words[kWords];
-    unsigned shift;  // bits of the first word that precede the first pixel
+    unsigned shift;  // modulo 32: bits of the first word that precede the first pixel
   };
 
   __device__ __forceinline__ GroupRows(Planes<T const> const& images, int64_t plane, int x, Border border)
@@ -168,20 +168,21 @@ struct GroupRows {
         if (!right_end || wraps) f.words[kSide + kOwn + i] = right[i];
       }
     } else {
-      char const *const at_row = at, *const first = at - R * int(sizeof(T));
-      unsigned const preceding = kShifted ? unsigned(reinterpret_cast<uintptr_t>(first)) & 3 : 0;
+      uint64_t const first = reinterpret_cast<uintptr_t>(at - R * int(sizeof(T)));
       if (unsigned(y - safe_from) < unsigned(safe_rows)) {
-        f.shift = 8 * preceding;
-        auto const* const words = reinterpret_cast<Word const*>(first - preceding);
+        f.shift = 8 * unsigned(first);
+        auto const* const words = reinterpret_cast<Word const*>(uintptr_t(first & ~uint64_t(sizeof(Word) - 1)));
 #pragma unroll
-        for (int i = 0; i < kWords; ++i) f.words[i] = words[i];
+        for (int i = 0; i < kWords; ++i) f.words[i] = __ldg(words + i);
       } else {
+        int column = x - R;
+        asm("" : "+r"(column));  // else nvcc keeps the column of every pixel in registers
 #pragma unroll
         for (int i = 0; i < kPixels; ++i) {
-          int at = x - R + i;
-          if (border == Border::circular) at += at < 0 ? width : at >= width ? -width : 0;
-          if (unsigned(at) >= unsigned(width)) continue;
-          T const pixel = reinterpret_cast<T const*>(at_row)[at - x];
+          int source = column + i;
+          if (border == Border::circular) source += source < 0 ? width : source >= width ? -width : 0;
+          if (unsigned(source) >= unsigned(width)) continue;
+          T const pixel = reinterpret_cast<T const*>(at)[source - x];
           Word bits = 0;
           __builtin_memcpy(&bits, &pixel, sizeof(T));
           f.words[i / kPerWord] |= bits << i % kPerWord * 8 * int(sizeof(T)) % 32;
@@ -251,15 +252,15 @@ struct GroupStore {
   static constexpr int kSize = P * int(sizeof(T)), kWords = ceil_div(kSize, 4);
   T* at;  // the group in the next row
   int const stride;
-  int begin = 0, end = kSize;  // kSize and 0 where the group before and the next one are adjacent, in the warp
+  bool first = true, last = true;  // whether the group before, and the next one, is not adjacent or of another warp
 
   // The threads of a warp construct it, and put rows, together.
   __device__ __forceinline__ GroupStore(Planes<T> const& images, int64_t plane, int x, int y)
       : at(images.row(plane, y) + x), stride(int(images.row_stride)) {
     if constexpr (kExchanges) {
       auto const address = static_cast<unsigned long long>(reinterpret_cast<uintptr_t>(at));
-      if (__shfl_up_sync(~0u, address, 1) + kSize == address && threadIdx.x % 32 != 0) begin = kSize;
-      if (__shfl_down_sync(~0u, address, 1) == address + kSize && threadIdx.x % 32 != 31) end = 0;
+      first = __shfl_up_sync(~0u, address, 1) + kSize != address || threadIdx.x % 32 == 0;
+      last = __shfl_down_sync(~0u, address, 1) != address + kSize || threadIdx.x % 32 == 31;
     }
   }
 
@@ -274,37 +275,50 @@ struct GroupStore {
         for (int k = 0; k < N; ++k) part.v[k] = vector.v[i + k];
         store_vector(at + i, part);
       }
-    } else if constexpr (kExchanges) {
-      exchanged(vector);
+    } else if constexpr (sizeof(T) >= 4) {
+      __builtin_assume(__isGlobal(at));
+#pragma unroll
+      for (int i = 0; i < P; ++i) at[i] = vector.v[i];
     } else {
-      words(vector, 0, kSize);
+      static_assert(kSize % 4 == 0);
+      uint32_t own[kWords];
+      __builtin_memcpy(own, &vector, kSize);
+      if constexpr (kExchanges)
+        exchanged(own);
+      else
+        parts(own, true, true, 0);
     }
     at += stride;
   }
 
  private:
-  // Stores the bytes [from, to) of the group by words, and by pixels at its ends.
-  __device__ __forceinline__ void words(Vector<T, P> const& vector, int from, int to) const {
+  __device__ __forceinline__ unsigned address() const { return unsigned(reinterpret_cast<uintptr_t>(at)); }
+
+  // Stores the first `before` bytes of the group, if `head`, and the others, if `tail`; kSize - before bytes end at a
+  // multiple of 4 bytes or more, or `before` is 0.
+  //
+  //   words    | . . . a | b c d e | f g h . |       a, f g and h by one or two bytes, b c d e by a word
+  __device__ __forceinline__ void parts(uint32_t const (&own)[kWords], bool head, bool tail, int before) const {
     __builtin_assume(__isGlobal(at));
-    if constexpr (sizeof(T) >= 4) {
+    unsigned const low = address(), preceding = low & 3;
+    auto* const to = reinterpret_cast<uint8_t*>(at);
+    auto* const aligned = reinterpret_cast<uint32_t*>(to + ((0 - low) & 3));
+    uint32_t words[kWords];  // from `aligned` on
 #pragma unroll
-      for (int i = 0; i < P; ++i) at[i] = vector.v[i];
-    } else {
-      uint32_t own[kWords + 1] = {};
-      __builtin_memcpy(own, &vector, kSize);
-      int const preceding = int(reinterpret_cast<uintptr_t>(at)) & 3, before = (4 - preceding) & 3;
-      auto* const aligned = reinterpret_cast<uint32_t*>(reinterpret_cast<char*>(at) + before);
-      __builtin_assume(__isGlobal(aligned));
+    for (int i = 0; i < kWords; ++i)
+      words[i] = __funnelshift_r(own[i], i + 1 < kWords ? own[min(i + 1, kWords - 1)] : 0u, 0 - 8 * low);
+    unsigned const of_head = (1u << before / 4) - 1, all = (1u << kWords) - 1;
+    unsigned const stored = ((head ? of_head : 0) | (tail ? ~of_head : 0)) & (preceding ? all >> 1 : all);
 #pragma unroll
-      for (int i = 0; i < kWords; ++i)
-        if (before + 4 * i >= from && before + 4 * i + 4 <= to)
-          aligned[i] = __funnelshift_r(own[i], own[i + 1], 8 * before);
-      int const first = from == 0 ? before : 0, last = to == kSize ? preceding : 0;  // bytes
-#pragma unroll
-      for (int i = 0; i < kPerWord<T> - 1; ++i) {
-        if (i * int(sizeof(T)) < first) at[i] = vector.v[i];
-        if (i * int(sizeof(T)) < last) at[P - 1 - i] = vector.v[P - 1 - i];
-      }
+    for (int i = 0; i < kWords; ++i)
+      if (stored & 1u << i) aligned[i] = words[i];
+    unsigned const begun = head ? (0 - low) & 3 : 0, ended = tail ? preceding : 0;  // bytes
+    auto* const halves = reinterpret_cast<uint16_t*>(aligned);
+    if (begun & 2) halves[-1] = uint16_t(own[0] >> (begun & 1) * 8);
+    if (ended & 2) halves[2 * kWords - 2] = uint16_t(words[kWords - 1]);
+    if constexpr (sizeof(T) == 1) {
+      if (begun & 1) to[0] = uint8_t(own[0]);
+      if (ended & 1) to[kSize - 1] = uint8_t(own[kWords - 1] >> 24);
     }
   }
 
@@ -312,25 +326,23 @@ struct GroupStore {
   //
   //   vectors          | . . a b | c d e f | g h i j | . . .
   //   groups               a b c d   e f g h   i j             the second thread stores c d e f
-  __device__ __forceinline__ void exchanged(Vector<T, P> const& vector) const {
+  __device__ __forceinline__ void exchanged(uint32_t const (&own)[kWords]) const {
     static_assert(kSize == 8 || kSize == 16);
-    uint32_t w[2 * kWords];  // the group before, and this one
-    __builtin_memcpy(w + kWords, &vector, kSize);
+    unsigned const low = address(), past = low & (kSize - 1);  // bytes of the vector before the group
+    uint32_t w[2 * kWords];                                    // the group before, and this one
 #pragma unroll
-    for (int i = 0; i < kWords; ++i) w[i] = __shfl_up_sync(~0u, w[kWords + i], 1);
-    int const past = int(reinterpret_cast<uintptr_t>(at)) & (kSize - 1), rest = kSize - past;  // bytes of the group
-    int const skipped = (rest - 1) / 4;                                                        // words
+    for (int i = 0; i < kWords; ++i) w[i] = __shfl_up_sync(~0u, own[i], 1), w[kWords + i] = own[i];
 #pragma unroll
     for (int n = kWords / 2; n > 0; n /= 2)
 #pragma unroll
-      for (int i = 0; i < kWords + n; ++i) w[i] = skipped & n ? w[i + n] : w[i];
+      for (int i = 2 * kWords - 1; i >= kWords - n; --i) w[i] = low & 4 * n ? w[i - n] : w[i];
     uint32_t shifted[kWords];
 #pragma unroll
-    for (int i = 0; i < kWords; ++i) shifted[i] = __funnelshift_rc(w[i], w[i + 1], 8 * (rest - 4 * skipped));
-    Vector<T, P> aligned;
+    for (int i = 0; i < kWords; ++i) shifted[i] = __funnelshift_l(w[kWords + i - 1], w[kWords + i], 8 * low);
+    Vector<uint32_t, kWords> aligned;
     __builtin_memcpy(&aligned, shifted, kSize);
-    if (past == 0 || begin > 0) store_vector(reinterpret_cast<T*>(reinterpret_cast<char*>(at) - past), aligned);
-    if (past > 0 && begin <= end) words(vector, min(begin, rest), max(end, rest));
+    if (past == 0 || !first) store_vector(reinterpret_cast<uint32_t*>(reinterpret_cast<char*>(at) - past), aligned);
+    if (past > 0 && (first || last)) parts(own, first, last, kSize - past);
   }
 };
 

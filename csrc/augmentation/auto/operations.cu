@@ -7,14 +7,14 @@ namespace {
 template <class T, int P>
 __global__ void __launch_bounds__(kThreads)
     measure_planes(__grid_constant__ ApplyOperations<T> const p, unsigned parts) {
-  unsigned const plane = blockIdx.x / parts, b = plane / kImageChannels;
-  measure_plane<P>(p, p.warp.x, b, b, int(plane - b * kImageChannels), blockIdx.x - plane * parts, parts);
+  unsigned const plane = blockIdx.x / parts, channels = unsigned(p.channels()), b = plane / channels;
+  measure_plane<P>(p, p.warp.x, b, b, int(plane - b * channels), blockIdx.x - plane * parts, parts);
 }
 
-template <class T, class Vectors>
+template <class T, int C, class Vectors>
 __global__ void __launch_bounds__(kThreads, 4)
     apply_to_tiles(__grid_constant__ ApplyOperations<T> const p, geometry::cuda::TileGrid tiles) {
-  apply_to_tile(p, tiles, 0, Vectors{});
+  apply_to_tile<C>(p, tiles, 0, Vectors{});
 }
 
 // --- gradients -------------------------------------------------------------------------------------------------------
@@ -25,17 +25,20 @@ __global__ void __launch_bounds__(kThreads)
     sum_gradients(__grid_constant__ ApplyOperationsBackward<T> const p, unsigned parts) {
   __shared__ int32_t results[kGradientSums];
   unsigned const plane = blockIdx.x / parts, part = blockIdx.x - plane * parts;
-  int64_t const b = plane / kImageChannels;
-  int const channel = int(plane - b * kImageChannels), t = int(threadIdx.x);
+  int const channels = p.forward.channels(), t = int(threadIdx.x);
+  int64_t const b = plane / unsigned(channels);
+  int const channel = int(plane - b * channels);
   Operation const operation = p.forward.operation_of(b);
   if (operation != Operation::contrast && operation != Operation::auto_contrast) return;  // as all blocks of the plane
 
   Images<T const> const& x = p.forward.warp.x;
   int64_t const pixels = x.height * x.width, each = pixels_of_part(pixels, parts);
   int64_t const begin = min(int64_t(part) * each, pixels);
-  float const* const measured = p.forward.measured + b * kImageChannels * kMeasured;
+  float const* const measured = p.forward.measured + b * channels * kMeasured;
   T const* const grad = p.warp.grad.row(b, channel, 0);
-  float const mean = mean_of(measured, pixels), factor = p.forward.value_of(b);
+  float const mean =
+      channels == kColors ? mean_of<kColors>(measured, channels, pixels) : mean_of<1>(measured, channels, pixels);
+  float const factor = p.forward.value_of(b);
   float const lowest = measured[channel * kMeasured], highest = measured[channel * kMeasured + 1];
   float sums[kGradientSums] = {};
   enhance::for_each_vector<kThreads, P>(x.row(b, channel, 0), 1, int(begin), int(min(begin + each, pixels)),
@@ -110,7 +113,7 @@ __device__ __forceinline__ void sharpen_vjp(T const* plane, T const* grad, int h
 }
 
 // Operations that move pixels, and those that do nothing, have their gradients from the warp.
-template <class T, class Vectors>
+template <class T, int C, class Vectors>
 __global__ void __launch_bounds__(kThreads, 3)
     apply_to_gradients(__grid_constant__ ApplyOperationsBackward<T> const p, geometry::cuda::TileGrid tiles) {
   geometry::cuda::Tile<float> tile;
@@ -118,77 +121,82 @@ __global__ void __launch_bounds__(kThreads, 3)
   int64_t const b = tile.b;
   Images<T const> const &from = p.forward.warp.x, &grad = p.warp.grad;
   Images<T> const& to = p.warp.grad_x;
-  int const width = int(from.width), height = int(from.height);
+  int const width = int(from.width), height = int(from.height), channels = channels_of<C>(from.channels);
   Operation const operation = p.forward.operation_of(b);
   if (moves_pixels(operation) || operation == Operation::none || operation == Operation::identity) return;
   PixelGroup<T, Vectors> const group({}, tile.x, tile.y, width, height, operation == Operation::sharpness);
   if (group.count <= 0) return;
-  float const* const measured = p.forward.measured + b * kImageChannels * kMeasured;
+  float const* const measured = p.forward.measured + b * channels * kMeasured;
+  float const* const sums = p.sums + b * channels * kGradientSums;
   float const value = p.forward.value_of(b);
-  Vector<T, kGroup> result[kImageChannels];
-  auto const store = [&] {
+  auto const apply = [&](int first) {
+    Vector<T, kGroup> result[C];
+    auto const store = [&] {
 #pragma unroll
-    for (int k = 0; k < kImageChannels; ++k) group.store(to, b, k, result[k]);
-  };
-  if (operation == Operation::sharpness) {
+      for (int k = 0; k < C; ++k) group.store(to, b, first + k, result[k]);
+    };
+    if (operation == Operation::sharpness) {
 #pragma unroll
-    for (int k = 0; k < kImageChannels; ++k)
-      sharpen_vjp(from.row(b, k, 0), grad.row(b, k, 0), height, width, group.x, group.y, value, result[k]);
-    return store();
-  }
-  Vector<T, kGroup> stored[kImageChannels];
-#pragma unroll
-  for (int k = 0; k < kImageChannels; ++k) {
-    stored[k] = group.load(from, b, k);
-    result[k] = group.load(grad, b, k);
-  }
-  if (operation == Operation::equalize) {  // levels have none
-#pragma unroll
-    for (int k = 0; k < kImageChannels; ++k) {
-      bool const changes = measured[k * kMeasured] != 0;
-#pragma unroll
-      for (int j = 0; j < kGroup; ++j)
-        if (changes && level_of(stored[k].v[j]) < kLevels) result[k].v[j] = round_to<T>(0.f);
+      for (int k = 0; k < C; ++k)
+        sharpen_vjp(from.row(b, first + k, 0), grad.row(b, first + k, 0), height, width, group.x, group.y, value,
+                    result[k]);
+      return store();
     }
-    return store();
-  }
-  int64_t const pixels = width * int64_t(height);
-  ColorOperation const color = measured_operation<T>(operation, value, measured, pixels);
-  float c[kImageChannels][kGroup], g[kImageChannels][kGroup];
+    Vector<T, kGroup> stored[C];
 #pragma unroll
-  for (int k = 0; k < kImageChannels; ++k)
+    for (int k = 0; k < C; ++k) {
+      stored[k] = group.load(from, b, first + k);
+      result[k] = group.load(grad, b, first + k);
+    }
+    if (operation == Operation::equalize) {  // levels have none
 #pragma unroll
-    for (int j = 0; j < kGroup; ++j) c[k][j] = read(stored[k].v[j]), g[k][j] = read(result[k].v[j]);
-  color::cuda::StepInputGradient<float, kImageChannels, kGroup> gradient{c, g, color.parameters};
-  run_color(color.step, gradient);
-  float const* const sums = p.sums + b * kImageChannels * kGradientSums;
-  if (operation == Operation::contrast) {
-    float of_mean = 0;
+      for (int k = 0; k < C; ++k) {
+        bool const changes = measured[(first + k) * kMeasured] != 0;
 #pragma unroll
-    for (int k = 0; k < kImageChannels; ++k) of_mean += sums[k * kGradientSums];
+        for (int j = 0; j < kGroup; ++j)
+          if (changes && level_of(stored[k].v[j]) < kLevels) result[k].v[j] = round_to<T>(0.f);
+      }
+      return store();
+    }
+    int64_t const pixels = width * int64_t(height);
+    ColorOperation const color = measured_operation<T, C>(operation, value, measured, first, channels, pixels);
+    float c[C][kGroup], g[C][kGroup];
 #pragma unroll
-    for (int k = 0; k < kImageChannels; ++k)
+    for (int k = 0; k < C; ++k)
 #pragma unroll
-      for (int j = 0; j < kGroup; ++j) g[k][j] += of_mean / float(pixels) * luma_weight(k);
-  } else if (operation == Operation::auto_contrast) {
+      for (int j = 0; j < kGroup; ++j) c[k][j] = read(stored[k].v[j]), g[k][j] = read(result[k].v[j]);
+    color::cuda::StepInputGradient<float, C, kGroup> gradient{c, g, color.parameters};
+    run_color(color.step, gradient);
+    if (operation == Operation::contrast) {
+      float of_mean = 0;
 #pragma unroll
-    for (int k = 0; k < kImageChannels; ++k) {
-      float const lowest = measured[k * kMeasured], highest = measured[k * kMeasured + 1];
-      float const* const own = sums + k * kGradientSums;
-      if (lowest == highest) continue;
-      enhance::RangeGradient<float> const of_range({own[0], own[1], own[2], own[3]}, lowest, highest, 1.f, kRangeEps);
+      for (int k = 0; k < channels; ++k) of_mean += sums[k * kGradientSums];
 #pragma unroll
-      for (int j = 0; j < kGroup; ++j) {
-        if (c[k][j] == lowest) g[k][j] += of_range.grad_smallest;
-        if (c[k][j] == highest) g[k][j] += of_range.grad_largest;
+      for (int k = 0; k < C; ++k)
+#pragma unroll
+        for (int j = 0; j < kGroup; ++j) g[k][j] += of_mean / float(pixels) * gray_weight<C>(k, channels);
+    } else if (operation == Operation::auto_contrast) {
+#pragma unroll
+      for (int k = 0; k < C; ++k) {
+        float const *const range = measured + (first + k) * kMeasured, *const own = sums + (first + k) * kGradientSums;
+        float const lowest = range[0], highest = range[1];
+        if (lowest == highest) continue;
+        enhance::RangeGradient<float> const of_range({own[0], own[1], own[2], own[3]}, lowest, highest, 1.f, kRangeEps);
+#pragma unroll
+        for (int j = 0; j < kGroup; ++j) {
+          if (c[k][j] == lowest) g[k][j] += of_range.grad_smallest;
+          if (c[k][j] == highest) g[k][j] += of_range.grad_largest;
+        }
       }
     }
-  }
 #pragma unroll
-  for (int k = 0; k < kImageChannels; ++k)
+    for (int k = 0; k < C; ++k)
 #pragma unroll
-    for (int j = 0; j < kGroup; ++j) result[k].v[j] = round_to<T>(g[k][j]);
-  store();
+      for (int j = 0; j < kGroup; ++j) result[k].v[j] = round_to<T>(g[k][j]);
+    store();
+  };
+#pragma unroll 1
+  for (int first = 0; first < channels; first += C) apply(first);
 }
 
 // --- launching -------------------------------------------------------------------------------------------------------
@@ -198,7 +206,7 @@ template <class Params, class T>
 int launch_for_planes(void (*kernel)(Params, unsigned), Params const& p, Images<T const> const& x,
                       CUstream_st* stream) {
   int64_t const parts = parts_of_planes(kernel, x.height * x.width);
-  return launch_clusters(kernel, unsigned(x.batch * kImageChannels * parts), kThreads, 0, unsigned(parts), stream, p,
+  return launch_clusters(kernel, unsigned(x.batch * x.channels * parts), kThreads, 0, unsigned(parts), stream, p,
                          unsigned(parts));
 }
 template <class T>
@@ -221,7 +229,10 @@ int apply_operations(ApplyOperations<T> const& p, CUstream_st* stream) {
   if (int const error = launch_measuring(p, stream)) return error;
   geometry::cuda::TileGrid const tiles(x.batch, x.height, x.width, 1);
   bool const vectors = has_vectors(x) && has_vectors(p.warp.y);
-  auto* const kernel = vectors ? apply_to_tiles<T, std::true_type> : apply_to_tiles<T, std::false_type>;
+  auto* const of_colors =
+      vectors ? apply_to_tiles<T, kColors, std::true_type> : apply_to_tiles<T, kColors, std::false_type>;
+  auto* const of_planes = vectors ? apply_to_tiles<T, 1, std::true_type> : apply_to_tiles<T, 1, std::false_type>;
+  auto* const kernel = x.channels == kColors ? of_colors : of_planes;
   kernel<<<tiles.blocks, kThreads, 0, stream>>>(p, tiles);
   return cudaGetLastError();
 }
@@ -234,7 +245,11 @@ int apply_operations_backward(ApplyOperationsBackward<T> const& p, CUstream_st* 
   if (int const error = launch_for_planes(sum_gradients<T, enhance::kRowVector<T>>, p, x, stream)) return error;
   geometry::cuda::TileGrid const tiles(x.batch, x.height, x.width, 1);
   bool const vectors = has_vectors(x) && has_vectors(p.warp.grad) && has_vectors(p.warp.grad_x);
-  auto* const kernel = vectors ? apply_to_gradients<T, std::true_type> : apply_to_gradients<T, std::false_type>;
+  auto* const of_colors =
+      vectors ? apply_to_gradients<T, kColors, std::true_type> : apply_to_gradients<T, kColors, std::false_type>;
+  auto* const of_planes =
+      vectors ? apply_to_gradients<T, 1, std::true_type> : apply_to_gradients<T, 1, std::false_type>;
+  auto* const kernel = x.channels == kColors ? of_colors : of_planes;
   kernel<<<tiles.blocks, kThreads, 0, stream>>>(p, tiles);
   return cudaGetLastError();
 }

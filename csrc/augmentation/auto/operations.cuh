@@ -120,7 +120,7 @@ __device__ __forceinline__ void measure_plane(ApplyOperations<T> const& p, Image
     cluster_arrive();
     cluster_wait();
   }
-  float* const measured = p.measured + (b * kImageChannels + channel) * kMeasured;
+  float* const measured = p.measured + (b * x.channels + channel) * kMeasured;
   if (part == 0) {
     auto const of_part = [&](unsigned rank, int i) { return load_of_block(&results[i], rank); };
     if (operation == Operation::equalize) {
@@ -224,24 +224,37 @@ __device__ __forceinline__ void sharpen(T const* plane, Images<T const> const& i
   }
 }
 
+// A thread takes C channels of its pixels at once: all of colors, or one after the other.
+template <int C>
+__device__ __forceinline__ int channels_of(int channels) {
+  return C == kColors ? C : channels;
+}
+template <int C>
+__device__ __forceinline__ float gray_weight(int channel, int channels) {
+  return C == kColors ? luma_weight(channel) : 1 / float(channels);
+}
+
 // The mean of contrast, from what was measured of the planes of a sample.
-__device__ __forceinline__ float mean_of(float const* measured, int64_t pixels) {
+template <int C>
+__device__ __forceinline__ float mean_of(float const* measured, int channels, int64_t pixels) {
   float sum = 0;
 #pragma unroll
-  for (int k = 0; k < kImageChannels; ++k) sum += measured[k * kMeasured] * luma_weight(k);
+  for (int k = 0; k < channels_of<C>(channels); ++k) sum += measured[k * kMeasured] * gray_weight<C>(k, channels);
   return sum / float(pixels);
 }
 
-// An operation on single pixels as a color step, with what was measured of the planes of its sample.
-template <class T>
+// An operation on single pixels of channels from `first` on as a color step, with what was measured of the planes of
+// their sample.
+template <class T, int C>
 __device__ __forceinline__ ColorOperation measured_operation(Operation operation, float value, float const* measured,
-                                                             int64_t pixels) {
+                                                             int first, int channels, int64_t pixels) {
   ColorOperation color = color_operation(operation, value, kPosterizeSplit<T>);
   if (operation == Operation::contrast) {
-    color.parameters[1] = mean_of(measured, pixels);
+    color.parameters[1] = mean_of<C>(measured, channels, pixels);
   } else if (operation == Operation::auto_contrast) {
+    float const* const own = measured + first * kMeasured;
 #pragma unroll
-    for (int k = 0; k < kImageChannels; ++k) set_range(color, k, measured[k * kMeasured], measured[k * kMeasured + 1]);
+    for (int k = 0; k < C; ++k) set_range<C>(color, k, own[k * kMeasured], own[k * kMeasured + 1]);
   }
   return color;
 }
@@ -254,15 +267,19 @@ __device__ __forceinline__ void run_color(color::Step step, Pixels& pixels) {
     case Step::contrast:
       return pixels.each_value([](auto& x, int, auto const* p, auto const*) { x = color::blend(x, p[1], p[0]); });
     case Step::saturation_gray:
-      return pixels.each([](auto& c, auto const* p, auto const*) { color::saturation_gray(c, p[0]); });
+      if constexpr (Pixels::kChannels == kColors)
+        pixels.each([](auto& c, auto const* p, auto const*) { color::saturation_gray(c, p[0]); });
+      return;
     case Step::posterize:
       return pixels.each_value([](auto& x, int, auto const*, auto const* n) { x = color::posterize(x, n[0], n[1]); });
     case Step::solarize:
       return pixels.each_value(
           [](auto& x, int, auto const* p, auto const* n) { x = color::solarize(x, p[0], p[1], n[2] != 0); });
+    case Step::standardize:
     case Step::standardize_rgb:
-      return pixels.each_value(
-          [](auto& x, int i, auto const* p, auto const*) { x = (x - p[i]) * color::reciprocal(p[3 + i]); });
+      return pixels.each_value([](auto& x, int i, auto const* p, auto const*) {
+        x = (x - p[i]) * color::reciprocal(p[Pixels::kChannels + i]);
+      });
     default:
       return pixels.each_value(
           [](auto& x, int, auto const* p, auto const* n) { x = color::clip(x * p[0] + p[1], n[2] != 0); });
@@ -270,17 +287,18 @@ __device__ __forceinline__ void run_color(color::Step step, Pixels& pixels) {
 }
 
 // What the block's sample has chosen, for the block's tile of a number, in order.
-template <class T, class Vectors>
+template <int C, class T, class Vectors>
 __device__ __forceinline__ void apply_to_tile(ApplyOperations<T> const& p, geometry::cuda::TileGrid const& tiles,
                                               int number, Vectors vectors) {
   __shared__ geometry::cuda::Tile<float> sampled;
-  __shared__ float tables[kImageChannels][kLevels];
+  __shared__ float tables[C][kLevels];
   geometry::cuda::Tile<float> tile;
   tile.locate(tiles, number);
   int64_t const b = tile.b;
   Images<T const> const& from = p.warp.x;
   Images<T> const& to = p.warp.y;
   int const t = int(threadIdx.x), width = int(from.width), height = int(from.height);
+  int const channels = channels_of<C>(from.channels);
   Operation const operation = p.operation_of(b);
   if (moves_pixels(operation)) {
     if (t == 0) sampled.init(tiles, p.warp.coords, number);
@@ -290,59 +308,68 @@ __device__ __forceinline__ void apply_to_tile(ApplyOperations<T> const& p, geome
 #pragma unroll 1
     for (int run = 0; run < geometry::cuda::kPixelsPerThread; ++run)
       if (x < width && y + run * geometry::cuda::kRowStep < height)
-        geometry::cuda::sample_unstaged<2, kImageChannels>(p.warp, sampled, 0, y + run * geometry::cuda::kRowStep, x);
+#pragma unroll 1
+        for (int k = 0; k < channels; k += C)
+          geometry::cuda::sample_unstaged<2, C>(p.warp, sampled, k, y + run * geometry::cuda::kRowStep, x);
     return;
   }
-  float const* const measured = p.measured + b * kImageChannels * kMeasured;
-  if (operation == Operation::equalize && number == 0) {
-    for (int k = 0; k < kImageChannels; ++k) tables[k][t] = measured[k * kMeasured + 2 + t];
+  float const* const measured = p.measured + b * channels * kMeasured;
+  if (C == kColors && operation == Operation::equalize && number == 0) {
+    for (int k = 0; k < C; ++k) tables[k][t] = measured[k * kMeasured + 2 + t];
     __syncthreads();
   }
   PixelGroup<T, Vectors> const group(vectors, tile.x, tile.y, width, height, operation == Operation::sharpness);
   if (group.count <= 0) return;
-  Vector<T, kGroup> stored[kImageChannels];
-#pragma unroll
-  for (int k = 0; k < kImageChannels; ++k) stored[k] = group.load(from, b, k);
-  auto const store = [&] {
-#pragma unroll
-    for (int k = 0; k < kImageChannels; ++k) group.store(to, b, k, stored[k]);
-  };
   float const value = p.value_of(b);
-  switch (operation) {
-    case Operation::none:
-    case Operation::identity:
-      return store();
-    case Operation::sharpness:
+  auto const apply = [&](int first) {
+    Vector<T, kGroup> stored[C];
 #pragma unroll
-      for (int k = 0; k < kImageChannels; ++k) sharpen(from.row(b, k, 0), from, group.x, group.y, value, stored[k]);
-      return store();
-    case Operation::equalize:
+    for (int k = 0; k < C; ++k) stored[k] = group.load(from, b, first + k);
+    auto const store = [&] {
 #pragma unroll
-      for (int k = 0; k < kImageChannels; ++k) {
-        bool const changes = measured[k * kMeasured] != 0;
+      for (int k = 0; k < C; ++k) group.store(to, b, first + k, stored[k]);
+    };
+    switch (operation) {
+      case Operation::none:
+      case Operation::identity:
+        return store();
+      case Operation::sharpness:
 #pragma unroll
-        for (T& pixel : stored[k].v) {
-          int const level = level_of(pixel);
-          if (changes && level < kLevels) pixel = round_to<T>(tables[k][level] * kUnit<T>);
+        for (int k = 0; k < C; ++k) sharpen(from.row(b, first + k, 0), from, group.x, group.y, value, stored[k]);
+        return store();
+      case Operation::equalize:
+#pragma unroll
+        for (int k = 0; k < C; ++k) {
+          float const* const own = measured + (first + k) * kMeasured;
+          float const* const table = C == kColors ? tables[k] : own + 2;
+          bool const changes = own[0] != 0;
+#pragma unroll
+          for (T& pixel : stored[k].v) {
+            int const level = level_of(pixel);
+            if (changes && level < kLevels) pixel = round_to<T>(table[level] * kUnit<T>);
+          }
         }
-      }
-      return store();
-    default:
-      break;
-  }
-  ColorOperation const color = measured_operation<T>(operation, value, measured, width * int64_t(height));
-  float c[kImageChannels][kGroup];
+        return store();
+      default:
+        break;
+    }
+    int64_t const pixels = width * int64_t(height);
+    ColorOperation const color = measured_operation<T, C>(operation, value, measured, first, channels, pixels);
+    float c[C][kGroup];
 #pragma unroll
-  for (int k = 0; k < kImageChannels; ++k)
+    for (int k = 0; k < C; ++k)
 #pragma unroll
-    for (int j = 0; j < kGroup; ++j) c[k][j] = read(stored[k].v[j]) * (1 / kUnit<T>);
-  color::cuda::EvaluateStep<float, kImageChannels, kGroup> pixels{c, color.parameters};
-  run_color(color.step, pixels);
+      for (int j = 0; j < kGroup; ++j) c[k][j] = read(stored[k].v[j]) * (1 / kUnit<T>);
+    color::cuda::EvaluateStep<float, C, kGroup> values{c, color.parameters};
+    run_color(color.step, values);
 #pragma unroll
-  for (int k = 0; k < kImageChannels; ++k)
+    for (int k = 0; k < C; ++k)
 #pragma unroll
-    for (int j = 0; j < kGroup; ++j) stored[k].v[j] = round_to<T>(c[k][j] * kUnit<T>);
-  store();
+      for (int j = 0; j < kGroup; ++j) stored[k].v[j] = round_to<T>(c[k][j] * kUnit<T>);
+    store();
+  };
+#pragma unroll 1
+  for (int first = 0; first < channels; first += C) apply(first);
 }
 
 // --- launching -------------------------------------------------------------------------------------------------------

@@ -44,7 +44,9 @@ KV_HD bool measures_planes(Operation operation) {
   return operation == Operation::auto_contrast || operation == Operation::equalize || operation == Operation::contrast;
 }
 
-constexpr int kImageChannels = 3;
+// Only images of three channels have colors: `color` leaves others as they are, and the mean of contrast is that of all
+// their values.
+constexpr int kColors = 3;
 
 // What CUDA measures of a plane: its lowest and highest value, or the sum of its values; or whether equalization
 // changes it, and the new values of its levels.
@@ -61,13 +63,15 @@ struct ApplyOperations {
 
   KV_HD Operation operation_of(int64_t b) const {
     int64_t const number = operation[b * operation_stride];
-    return number >= 0 && number < kOperations ? Operation(int(number)) : Operation::none;
+    bool const lacks_colors = number == int(Operation::color) && channels() != kColors;
+    return number >= 0 && number < kOperations && !lacks_colors ? Operation(int(number)) : Operation::none;
   }
   KV_HD float value_of(int64_t b) const { return value[b * value_stride]; }
+  KV_HD int channels() const { return warp.x.channels; }
 };
 
-// The same of a list of images of different sizes. `all` is what the samples share, with the numbers of all of them and
-// without images.
+// The same of a list of images of different sizes. `all` is what the samples share, with the numbers of all of them,
+// and of images their channels only.
 template <class T>
 struct ApplyOperationsList {
   ApplyOperations<T> all;
@@ -82,12 +86,12 @@ KV_HD ApplyOperations<T> sample_at(ApplyOperationsList<T> const& p, int b) {
   geometry::Size const size{image.height, image.width};
   ApplyOperations<T> one = p.all;
   geometry::select_sample(one.warp, b, size, size);
-  one.warp.x = images_of<T>(image, kImageChannels);
-  one.warp.y = images_of<T>(p.list.results[b], kImageChannels, p.list.interleaved);
+  one.warp.x = images_of<T>(image, p.all.channels());
+  one.warp.y = images_of<T>(p.list.results[b], p.all.channels(), p.list.interleaved);
   one.operation += b * one.operation_stride;
   one.value += b * one.value_stride;
   one.matrices += 9 * b;
-  one.measured += b * kImageChannels * kMeasured;
+  one.measured += int64_t(b) * p.all.channels() * kMeasured;
   return one;
 }
 
@@ -139,6 +143,7 @@ constexpr int kMixedValues = 4096;  // of an item
 template <class T>
 struct MixOperations {
   ListedSamples list;
+  int channels;
   T const* chains;
   float* sums;                           // of mixtures that have further chains
   float const *weights, *image_weights;  // of the chain and of the image itself, of each sample
@@ -154,9 +159,7 @@ struct MixOperations {
   }
   // Where a sample begins in the blocks.
   KV_HD int64_t begin_of(int b) const { return list.first[b] * int64_t(kMixedValues); }
-  KV_HD int64_t values_of(int b) const {
-    return kImageChannels * int64_t(list.results[b].height) * list.results[b].width;
-  }
+  KV_HD int64_t values_of(int b) const { return channels * int64_t(list.results[b].height) * list.results[b].width; }
 };
 
 KV_KERNEL(apply_operations, ApplyOperations)
@@ -239,13 +242,14 @@ constexpr float kPosterizeSplit = __is_same(T, Half)       ? 8193.f
 // What is added to the range of auto_contrast, as to that of normalize_min_max.
 constexpr float kRangeEps = 1e-6f;
 
-// The step of auto_contrast: parameters are those of standardize_rgb, the lowest values of the channels and their
-// ranges. A channel of one value stays as it is.
+// The step of auto_contrast, for all colors or for the values of a plane: parameters are the lowest values of C
+// channels and their ranges. A channel of one value stays as it is.
+template <int C>
 KV_HD void set_range(ColorOperation& operation, int channel, float lowest, float highest) {
   bool const is_flat = lowest == highest;
-  operation.step = color::Step::standardize_rgb;
+  operation.step = C == kColors ? color::Step::standardize_rgb : color::Step::standardize;
   operation.parameters[channel] = is_flat ? 0 : lowest;
-  operation.parameters[kImageChannels + channel] = is_flat ? 1 : highest - lowest + kRangeEps;
+  operation.parameters[C + channel] = is_flat ? 1 : highest - lowest + kRangeEps;
 }
 
 KV_HD constexpr float luma_weight(int channel) { return channel == 0 ? .299f : channel == 1 ? .587f : .114f; }

@@ -19,9 +19,20 @@ KV_HD Planes<T> planes_of(Images<T> const& x, int64_t b, bool flat) {
           height,         width,      x.step};
 }
 
+// The pixels that a color step takes at once: those of a sample; of one without colors all values, which are one row;
+// or the values of a plane.
+struct Row {
+  int channel, channels;
+  int64_t pixels, step;
+};
+template <class T>
+KV_HD Row row_of(Images<T const> const& x) {
+  int64_t const pixels = x.height * x.width;
+  return x.channels == kColors ? Row{0, kColors, pixels, x.step} : Row{0, 1, x.channels * pixels, 1};
+}
 template <class T, class I>
-KV_HD color::Pixels pixels_of(I const& x, int64_t b) {
-  return {const_cast<T*>(x.row(b, 0, 0)), kDType<T>, x.channels, 1, 0, 0, x.channel_stride, x.step};
+KV_HD color::Pixels pixels_of(I const& x, int64_t b, Row const& row) {
+  return {const_cast<T*>(x.row(b, row.channel, 0)), kDType<T>, row.channels, 1, 0, 0, x.channel_stride, row.step};
 }
 
 // The range of a plane in [0, 1]; NaN if it has one.
@@ -41,11 +52,11 @@ void find_range(Planes<T const> const& x, int64_t channel, float& lowest, float&
 
 // The color program of one operation on a sample. Around a mean it needs `parts` and `mean`.
 template <class T>
-color::Program<float> program_of(Images<T const> const& x, int64_t b, ColorOperation const& operation, float* parts,
-                                 float* mean) {
-  int64_t const pixels = x.height * x.width;
+color::Program<float> program_of(Images<T const> const& x, int64_t b, Row const& row, ColorOperation const& operation,
+                                 float* parts, float* mean) {
+  int64_t const pixels = row.pixels;
   color::Program<float> program{};
-  program.x = pixels_of<T>(x, b);
+  program.x = pixels_of<T>(x, b, row);
   program.samples = program.inner = program.steps = program.length = 1;
   program.pixels = program.mean_pixels = pixels;
   program.step[0] = operation.step;
@@ -55,64 +66,62 @@ color::Program<float> program_of(Images<T const> const& x, int64_t b, ColorOpera
   program.parts_count = color::mean_parts_of<float>(1, pixels);
   program.parts = parts;
   program.means = mean;
-  for (int k = 0; k < kImageChannels; ++k) program.gray_weights[k] = luma_weight(k);
+  for (int k = 0; k < row.channels; ++k) program.gray_weights[k] = row.channels == 1 ? 1 : luma_weight(k);
   return program;
 }
 
 template <class T>
-void run_color(ApplyOperations<T> const& p, int64_t b, ColorOperation const& operation) {
-  int64_t const pixels = p.warp.x.height * p.warp.x.width;
-  Scratch<float> const parts(color::mean_parts_of<float>(1, pixels));
+void run_color(ApplyOperations<T> const& p, int64_t b, Row const& row, ColorOperation const& operation) {
+  Scratch<float> const parts(color::mean_parts_of<float>(1, row.pixels));
   float mean;
-  auto program = program_of(p.warp.x, b, operation, parts.data, &mean);
-  program.y = pixels_of<T>(p.warp.y, b);
+  auto program = program_of(p.warp.x, b, row, operation, parts.data, &mean);
+  program.y = pixels_of<T>(p.warp.y, b, row);
   if (program.contrast >= 0) {
     program.measures_mean = true;
     color::KV_ISA::program(program, 0, program.parts_count);
     program.measures_mean = false;
   }
-  color::KV_ISA::program(program, 0, color::chunks_of<float>(pixels));
+  color::KV_ISA::program(program, 0, color::chunks_of<float>(row.pixels));
 }
 
 template <class T>
 void run_color_backward(ApplyOperationsBackward<T> const& p, int64_t b, ColorOperation const& operation) {
   Images<T const> const& x = p.forward.warp.x;
-  int64_t const pixels = x.height * x.width;
-  Scratch<float> const parts(color::mean_parts_of<float>(1, pixels));
+  Row const row = row_of(x);
+  Scratch<float> const parts(color::mean_parts_of<float>(1, row.pixels));
   float mean = 0;
   color::ProgramBackward<float> backward{};
   color::Program<float>& program = backward.forward;
-  program = program_of(x, b, operation, parts.data, &mean);
-  backward.grad = pixels_of<T>(p.warp.grad, b), backward.grad_x = pixels_of<T>(p.warp.grad_x, b);
+  program = program_of(x, b, row, operation, parts.data, &mean);
+  backward.grad = pixels_of<T>(p.warp.grad, b, row), backward.grad_x = pixels_of<T>(p.warp.grad_x, b, row);
   backward.needs_grad_x = true;
   backward.needs_input[0] = backward.reads_input = !color::is_affine(operation.step, operation.parameters);
   if (program.contrast >= 0) {
     program.measures_mean = true;
     color::KV_ISA::program(program, 0, program.parts_count);
     for (int64_t i = 0; i < program.parts_count; ++i) mean += parts.data[i];
-    mean /= float(pixels);
+    mean /= float(row.pixels);
     color::KV_ISA::program_backward(backward, 0, program.parts_count);
     program.measures_mean = false;
   }
-  color::KV_ISA::program_backward(backward, 0, color::chunks_of<float>(pixels));
+  color::KV_ISA::program_backward(backward, 0, color::chunks_of<float>(row.pixels));
 }
 
 // The gradient of images that equalize() makes, of a sample.
 template <class T>
 void equalize_backward(ApplyOperationsBackward<T> const& p, int64_t b) {
   Images<T const> const& x = p.forward.warp.x;
-  Scratch<T> const result(kImageChannels * x.height * x.width);
+  Scratch<T> const result(x.channels * x.height * x.width), changed(x.channels);
   Images<T> y = p.warp.grad_x;  // of the same layout
   y.data = result.data;
   y.batch_stride = 0;
-  T changed[kImageChannels];
-  enhance::Equalize<T> const equalize{planes_of(x, b, true), planes_of(y, b, true), changed, false, nullptr};
-  enhance::KV_ISA::equalize(equalize, 0, kImageChannels);
+  enhance::Equalize<T> const equalize{planes_of(x, b, true), planes_of(y, b, true), changed.data, false, nullptr};
+  enhance::KV_ISA::equalize(equalize, 0, x.channels);
   Images<T const> const equalized{y.data,  y.batch_stride, y.channel_stride, y.row_stride, y.step,
                                   y.batch, y.height,       y.width,          y.channels};
   enhance::EqualizeBackward<T> const backward{planes_of(p.warp.grad, b, true), planes_of(equalized, b, true),
-                                              planes_of(p.warp.grad_x, b, true), changed};
-  enhance::KV_ISA::equalize_backward(backward, 0, kImageChannels);
+                                              planes_of(p.warp.grad_x, b, true), changed.data};
+  enhance::KV_ISA::equalize_backward(backward, 0, x.channels);
 }
 
 // The gradient of images that are stretched to their range, of a sample.
@@ -120,14 +129,16 @@ template <class T>
 void auto_contrast_backward(ApplyOperationsBackward<T> const& p, int64_t b) {
   auto const x = planes_of(p.forward.warp.x, b, true), grad = planes_of(p.warp.grad, b, true);
   auto const grad_x = planes_of(p.warp.grad_x, b, true);
-  T range[2 * kImageChannels];
+  int64_t const channels = p.forward.channels();
+  Scratch<T> const range(2 * channels);
   enhance::MinMaxBackward<T> backward{};
   backward.grad = grad, backward.x = x, backward.grad_x = grad_x;
-  backward.range = range;
+  backward.range = range.data;
   backward.scale = 1, backward.eps = kRangeEps;
-  for (int k = 0; k < kImageChannels; ++k) {
-    find_range(x, k, range[2 * k], range[2 * k + 1]);
-    if (range[2 * k] == range[2 * k + 1])
+  for (int64_t k = 0; k < channels; ++k) {
+    T &lowest = range.data[2 * k], &highest = range.data[2 * k + 1];
+    find_range(x, k, lowest, highest);
+    if (lowest == highest)
       __builtin_memcpy(grad_x.plane(k), grad.plane(k), size_t(x.width) * sizeof(T));
     else
       enhance::KV_ISA::min_max_backward(backward, k, k + 1);
@@ -156,6 +167,7 @@ template <class T>
 void apply_operations(ApplyOperations<T> const& p, int64_t begin, int64_t end) {
   Images<T const> const& x = p.warp.x;
   Images<T> const& y = p.warp.y;
+  bool const has_colors = x.channels == kColors;
   for (int64_t b = begin; b < end; ++b) {
     Operation const operation = p.operation_of(b);
     float const value = p.value_of(b);
@@ -173,24 +185,30 @@ void apply_operations(ApplyOperations<T> const& p, int64_t begin, int64_t end) {
       case Operation::sharpness: {
         enhance::Sharpness<T> const sharpness{
             planes_of(x, b, false), planes_of(y, b, false), {nullptr, 0, 0, 1, value}};
-        enhance::KV_ISA::sharpness(sharpness, 0, kImageChannels * x.height);
+        enhance::KV_ISA::sharpness(sharpness, 0, x.channels * x.height);
         break;
       }
       case Operation::equalize: {
-        T changed[kImageChannels];
-        enhance::Equalize<T> const equalize{planes_of(x, b, true), planes_of(y, b, true), changed, false, nullptr};
-        enhance::KV_ISA::equalize(equalize, 0, kImageChannels);
+        Scratch<T> const changed(x.channels);
+        enhance::Equalize<T> const equalize{planes_of(x, b, true), planes_of(y, b, true), changed.data, false, nullptr};
+        enhance::KV_ISA::equalize(equalize, 0, x.channels);
         break;
       }
       case Operation::auto_contrast:
-        for (int k = 0; k < kImageChannels; ++k) {
+        for (int k = 0; k < x.channels; ++k) {
           float lowest, highest;
           find_range(planes_of(x, b, true), k, lowest, highest);
-          set_range(color, k, lowest, highest);
+          if (has_colors) {
+            set_range<kColors>(color, k, lowest, highest);
+          } else {
+            set_range<1>(color, 0, lowest, highest);
+            run_color(p, b, {k, 1, x.height * x.width, x.step}, color);
+          }
         }
-        [[fallthrough]];
+        if (has_colors) run_color(p, b, row_of(x), color);
+        break;
       default:
-        run_color(p, b, color);
+        run_color(p, b, row_of(x), color);
     }
   }
 }
@@ -235,7 +253,7 @@ void apply_operations_backward(ApplyOperationsBackward<T> const& p, int64_t begi
     float const value = p.forward.value_of(b);
     if (moves_pixels(operation)) {
       write_matrix(p.forward, b);
-      geometry::KV_ISA::sample_image_backward(p.warp, b * kImageChannels, (b + 1) * kImageChannels);
+      geometry::KV_ISA::sample_image_backward(p.warp, b * x.channels, (b + 1) * x.channels);
       continue;
     }
     switch (operation) {
@@ -250,7 +268,7 @@ void apply_operations_backward(ApplyOperationsBackward<T> const& p, int64_t begi
                                                      {nullptr, 0, 0, 1, value},
                                                      nullptr,
                                                      1};
-        enhance::KV_ISA::sharpness_backward(backward, 0, kImageChannels * x.height);
+        enhance::KV_ISA::sharpness_backward(backward, 0, x.channels * x.height);
         break;
       }
       case Operation::equalize:

@@ -10,12 +10,12 @@ template <class T, int P>
 __global__ void __launch_bounds__(kThreads)
     measure_listed_planes(__grid_constant__ ApplyOperationsList<T> const p, unsigned parts) {
   unsigned const plane = blockIdx.x / parts;
-  int const b = int(plane) / kImageChannels, channel = int(plane) - b * kImageChannels;
-  Images<T const> const x = images_of<T>(p.list.images[b], kImageChannels);
+  int const channels = p.all.channels(), b = int(plane) / channels, channel = int(plane) - b * channels;
+  Images<T const> const x = images_of<T>(p.list.images[b], channels);
   measure_plane<P>(p.all, x, b, 0, channel, blockIdx.x - plane * parts, parts);
 }
 
-template <class T>
+template <class T, int C>
 __global__ void __launch_bounds__(kThreads, 4) apply_to_listed_tiles(__grid_constant__ ApplyOperationsList<T> const p) {
   using Block = geometry::cuda::ListBlock<ApplyOperations<T>>;
   __shared__ __align__(16) unsigned char memory[sizeof(Block)];
@@ -24,7 +24,7 @@ __global__ void __launch_bounds__(kThreads, 4) apply_to_listed_tiles(__grid_cons
   });
   bool const vectors = has_vectors(block.sample.warp.x) && has_vectors(block.sample.warp.y);
   for (int number = 0; number < p.tiles_per_block; ++number) {
-    apply_to_tile(block.sample, block.tiles, number, vectors);
+    apply_to_tile<C>(block.sample, block.tiles, number, vectors);
     __syncthreads();  // which also keeps what the tiles share out of registers
   }
 }
@@ -63,9 +63,10 @@ int apply_operations_list(ApplyOperationsList<T> const& p, CUstream_st* stream) 
   for (int b = 0; b < p.list.count; ++b) most = max(most, p.list.images[b].height * int64_t(p.list.images[b].width));
   auto* const measure =
       p.list.interleaved ? measure_listed_planes<T, 1> : measure_listed_planes<T, enhance::kRowVector<T>>;
-  unsigned const parts = unsigned(parts_of_planes(measure, most)), blocks = unsigned(p.list.count) * kImageChannels;
+  unsigned const parts = unsigned(parts_of_planes(measure, most)), blocks = unsigned(p.list.count * p.all.channels());
   if (int const error = launch_clusters(measure, blocks * parts, kThreads, 0, parts, stream, p, parts)) return error;
-  apply_to_listed_tiles<<<unsigned(p.list.items), kThreads, 0, stream>>>(p);
+  auto* const apply = p.all.channels() == kColors ? apply_to_listed_tiles<T, kColors> : apply_to_listed_tiles<T, 1>;
+  apply<<<unsigned(p.list.items), kThreads, 0, stream>>>(p);
   return cudaGetLastError();
 }
 

@@ -16,6 +16,12 @@ Images<T> dense_images(Tensor const& x, Layout layout) {
           x.size(3),      int(channels)};
 }
 
+// Images of a layout whose planes are dense; without colors, all values of an image are one row.
+Tensor dense_in(Tensor const& x, Layout layout) {
+  bool const is_row = layout == Layout::channels_last || x.size(1) == 1 || x.stride(1) == x.size(2) * x.size(3);
+  return x.size(1) == kColors || is_row ? enhance::dense_planes(x, layout) : dense(x);
+}
+
 // Operations of several steps are (B, S), those of one step (B,).
 void check_arguments(char const* op, Tensor const& images, Tensor const& operation, Tensor const& value,
                      bool several_steps) {
@@ -25,8 +31,9 @@ void check_arguments(char const* op, Tensor const& images, Tensor const& operati
                       (!several_steps || (t.size(1) > 0 && t.size(1) == operation.size(1)));
     return same && t.scalar_type() == type && t.device() == images.device();
   };
-  KV_CHECK(images.size(1) == kImageChannels, op, ": expected images of three channels, got ", images.size(1));
-  KV_CHECK(images.size(0) <= INT32_MAX / 64, op, ": expected fewer than 2^25 images, got ", images.size(0));
+  KV_CHECK(images.size(1) > 0, op, ": expected images with channels");
+  KV_CHECK(images.size(0) * images.size(1) <= INT32_MAX / 64, op, ": expected fewer than 2^25 planes, got ",
+           images.size(0) * images.size(1));
   KV_CHECK(fits(operation, ScalarType::Long), op, ": expected operations of shape ", several_steps ? "(B, S)" : "(B,)",
            ", int64, on the device of images");
   KV_CHECK(fits(value, ScalarType::Float), op, ": expected a float32 value of each operation");
@@ -85,13 +92,13 @@ void dispatch_differentiable(char const* op, Tensor const& x, Run run) {
 // What CUDA measures of the planes of images, and nothing on the CPU.
 Tensor measured_of([[maybe_unused]] Tensor const& images, [[maybe_unused]] int64_t numbers) {
 #if defined(KV_CUDA)
-  return empty({images.size(0) * kImageChannels, numbers}, images, Layout::planar, ScalarType::Float);
+  return empty({images.size(0) * images.size(1), numbers}, images, Layout::planar, ScalarType::Float);
 #else
   return {};
 #endif
 }
 
-// Runs all steps of a policy, by turns into two buffers. Images (B, 3, H, W); operation and value (B, S). Returns the
+// Runs all steps of a policy, by turns into two buffers. Images (B, C, H, W); operation and value (B, S). Returns the
 // results and the matrices (S, B, 3, 3) of the steps.
 std::tuple<Tensor, Tensor> apply_operations(Tensor const& images, Tensor const& operation, Tensor const& value) {
   constexpr char const* op = "apply_operations";
@@ -101,14 +108,14 @@ std::tuple<Tensor, Tensor> apply_operations(Tensor const& images, Tensor const& 
   Layout const layout = layout_of(images);
   Tensor const matrices = empty({steps, batch, 3, 3}, images, Layout::planar, ScalarType::Float);
   Tensor const measured = measured_of(images, kMeasured);
-  Tensor x = enhance::dense_planes(images, layout), others;
+  Tensor x = dense_in(images, layout), others;
   for (int64_t step = 0; step < steps; ++step) {
     Tensor const y = step < 2 ? empty_like(x, layout) : others;
     dispatch_joined(op, x, [&]<class T>(Type<T>) {
       float* const own = data_ptr<float>(matrices) + step * batch * 9;
       auto p = operations_on<T>(op, x, layout, operation, value, step, own, measured);
       p.warp.y = dense_images<T>(y, layout);
-      KV_RUN(apply_operations, x, p, batch, 6 * kImageChannels * x.size(2) * x.size(3));
+      KV_RUN(apply_operations, x, p, batch, 6 * x.size(1) * x.size(2) * x.size(3));
     });
     others = step > 0 ? x : Tensor();
     x = y;
@@ -126,7 +133,8 @@ struct ImageBlock {
 
   // As large as the results, which are listed.
   ImageBlock(geometry::KeptSizes const& kept, Listed const& results) {
-    auto const values_of = [](ListedImage const& x) { return items_of(x.height, x.width) * kMixedValues; };
+    int64_t const channels = kept.largest.size(1);
+    auto const values_of = [&](ListedImage const& x) { return items_of(channels, x.height, x.width) * kMixedValues; };
     int64_t values = 0;
     for (ListedImage const& x : results) values += values_of(x);
     memory = empty({values}, kept.largest);
@@ -138,12 +146,12 @@ struct ImageBlock {
     }
   }
   // Of kMixedValues.
-  static int64_t items_of(int64_t height, int64_t width) {
-    return ceil_div(kImageChannels * height * width, int64_t(kMixedValues));
+  static int64_t items_of(int64_t channels, int64_t height, int64_t width) {
+    return ceil_div(channels * height * width, int64_t(kMixedValues));
   }
 };
 
-// Images (3, h, w) of a list in dense rows, and what runs steps of a policy on them.
+// Images (C, h, w) of a list in dense rows, and what runs steps of a policy on them.
 struct ListedSteps {
   geometry::KeptSizes const& kept;
   Tensor const &operation, &value, matrices, measured;
@@ -181,13 +189,14 @@ struct ListedSteps {
           int64_t const b = int64_t(first);
           float* const own = data_ptr<float>(matrices) + (step * int64_t(images.size()) + b) * 9;
           p.all = {};
+          p.all.warp.x.channels = int(like.size(1));
           set_warp<T>(p.all.warp, 1, {1, 1}, own);
           set_operations(p.all, operation, value, step, b);
           p.all.matrices = own;
 #if defined(KV_CUDA)
-          p.all.measured = data_ptr<float>(measured) + b * kImageChannels * kMeasured;
+          p.all.measured = data_ptr<float>(measured) + b * like.size(1) * kMeasured;
 #endif
-          KV_RUN(apply_operations_list, like, p, p.list.items, 6 * kImageChannels * like.size(2) * like.size(3));
+          KV_RUN(apply_operations_list, like, p, p.list.items, 6 * like.size(1) * like.size(2) * like.size(3));
         };
         geometry::for_each_table(
             p.list, images.size(), [&](size_t b) { return (*from)[b]; }, [&](size_t b) { return next[b]; }, items_of,
@@ -198,7 +207,7 @@ struct ListedSteps {
   }
 };
 
-// All steps of a policy on a list of images (3, h, w). The matrices (S, B, 3, 3) follow the results.
+// All steps of a policy on a list of images (C, h, w). The matrices (S, B, 3, 3) follow the results.
 Tensors apply_operations_list(Tensors const& images, Tensor const& operation, Tensor const& value) {
   constexpr char const* op = "apply_operations_list";
   geometry::KeptSizes const kept(op, images);
@@ -212,7 +221,7 @@ Tensors apply_operations_list(Tensors const& images, Tensor const& operation, Te
   return results;
 }
 
-// Mixtures of images (3, h, w) of a list with chains of as many operations each. The weights (B, 1 + chains) are those
+// Mixtures of images (C, h, w) of a list with chains of as many operations each. The weights (B, 1 + chains) are those
 // of the image and of its chains.
 Tensors mix_operations_list(Tensors const& images, Tensor const& operation, Tensor const& value,
                             Tensor const& weights) {
@@ -235,9 +244,10 @@ Tensors mix_operations_list(Tensors const& images, Tensor const& operation, Tens
     dispatch_joined(op, like, [&]<class T>(Type<T>) {
       MixOperations<T> p;
       p.list.interleaved = kept.interleaved();
+      p.channels = int(like.size(1));
       p.weight_stride = weights.stride(0);
       p.is_first = chain == 0, p.is_last = chain + 1 == chains;
-      auto const items_of = [&](size_t b) { return ImageBlock::items_of(sizes[b].height, sizes[b].width); };
+      auto const items_of = [&](size_t b) { return ImageBlock::items_of(p.channels, sizes[b].height, sizes[b].width); };
       auto const run = [&](size_t first) {
         p.chains = static_cast<T const*>(of_chain.images[first].data);
         p.sums = data_ptr<float>(sums) + (p.chains - data_ptr<T const>(of_chain.memory));
@@ -259,13 +269,13 @@ std::tuple<Tensor, Tensor> apply_operation(Tensor const& images, Tensor const& o
   check_arguments(op, images, operation, value, false);
   geometry::checked_size(op, images);
   Layout const layout = layout_of(images);
-  Tensor const x = enhance::dense_planes(images, layout), y = empty_like(x, layout);
+  Tensor const x = dense_in(images, layout), y = empty_like(x, layout);
   Tensor const matrices = empty({x.size(0), 3, 3}, x, Layout::planar, ScalarType::Float);
   Tensor const measured = measured_of(x, kMeasured);
   dispatch_joined(op, x, [&]<class T>(Type<T>) {
     auto p = operations_on<T>(op, x, layout, operation, value, 0, data_ptr<float>(matrices), measured);
     p.warp.y = dense_images<T>(y, layout);
-    KV_RUN(apply_operations, x, p, x.size(0), 6 * kImageChannels * x.size(2) * x.size(3));
+    KV_RUN(apply_operations, x, p, x.size(0), 6 * x.size(1) * x.size(2) * x.size(3));
   });
   return {y, matrices};
 }
@@ -292,7 +302,7 @@ Tensor apply_operation_backward(Tensor const& grad, Tensor const& images, Tensor
 #if defined(KV_CUDA)
     p.sums = data_ptr<float>(sums);
 #endif
-    KV_RUN(apply_operations_backward, x, p, x.size(0), 12 * kImageChannels * x.size(2) * x.size(3));
+    KV_RUN(apply_operations_backward, x, p, x.size(0), 12 * x.size(1) * x.size(2) * x.size(3));
   });
   return grad_x;
 }
@@ -328,10 +338,10 @@ std::tuple<Tensor, Tensor> choose_operations(Tensor const& columns, Tensor const
 }  // namespace
 
 KV_OPERATOR(apply_operations, "(Tensor images, Tensor operation, Tensor value) -> (Tensor, Tensor)")
-// The same of images (3, h, w) of different sizes. The matrices follow the images.
+// The same of images (C, h, w) of different sizes. The matrices follow the images.
 KV_OPERATOR(apply_operations_list, "(Tensor[] images, Tensor operation, Tensor value) -> Tensor[]")
 KV_OPERATOR(mix_operations_list, "(Tensor[] images, Tensor operation, Tensor value, Tensor weights) -> Tensor[]")
-// A step of a policy: each image (B, 3, H, W) gets the operation of its number, with its value; -1 is none. Returns the
+// A step of a policy: each image (B, C, H, W) gets the operation of its number, with its value; -1 is none. Returns the
 // images and the matrices (B, 3, 3) of operations that move pixels. operation_table.py has the numbers and the values.
 KV_OPERATOR(apply_operation, "(Tensor images, Tensor operation, Tensor value) -> (Tensor, Tensor)")
 KV_OPERATOR(apply_operation_backward, "(Tensor grad, Tensor images, Tensor operation, Tensor value) -> Tensor")

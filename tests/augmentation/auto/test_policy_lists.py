@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from augmentation.auto.test_policy_base import POLICIES_AND_MIXTURES
+from augmentation.container.test_list_launches import calls
 from augmentation.test_lists import pictures, seeds_of
 from benchmarks.timing import launches
 from kvision import augmentation as A
@@ -48,14 +49,35 @@ def test_each_image_gets_what_it_gets_alone(name, dtype, layout, device):
     assert_close(augment.transform_matrix, matrices)
 
 
-@pytest.mark.parametrize("channels", [1, 4])
+def of_channels(channels, device, dtype=torch.float32, sizes=SIZES):
+    return [torch.cat([x, x.flip(-1)])[:channels] for x in pictures(device, sizes, dtype)]
+
+
+@pytest.mark.parametrize("dtype", DTYPES, ids=str)
+@pytest.mark.parametrize("channels", [1, 2, 4])
 @policies
-def test_images_of_other_channels(name, channels, device):
-    augment, images = POLICIES_AND_MIXTURES[name](), [x[:1].repeat(channels, 1, 1) for x in pictures(device, SIZES)]
+def test_images_of_other_channels(name, channels, dtype, device, backend):
+    augment, images = POLICIES_AND_MIXTURES[name](), of_channels(channels, device, dtype)
     seeds = seeds_of(images)
     results = augment(images, seed=seeds)
     for b, x in enumerate(images):
         assert torch.equal(results[b], augment(x[None], seed=seeds[b : b + 1])[0])
+    if backend != "reference" and dtype != torch.float64:
+        augment = A.ImageSequential(augment, A.RandomInvert())
+        assert calls(augment, images, seed=seeds) == calls(augment, images[:2], seed=seeds[:2])
+
+
+@pytest.mark.parametrize("channels", [1, 4])
+@policies
+def test_gradients_of_other_channels(name, channels, device):
+    augment, images = POLICIES_AND_MIXTURES[name](), [x.requires_grad_() for x in of_channels(channels, device)]
+    seeds = seeds_of(images)
+    results = augment(images, seed=seeds)
+    weights = [torch.rand_like(y) for y in results]
+    of_list = torch.autograd.grad(sum((y * w).sum() for y, w in zip(results, weights)), images)
+    for b, x in enumerate(images):
+        alone = (augment(x[None], seed=seeds[b : b + 1])[0] * weights[b]).sum()
+        assert_close(of_list[b], torch.autograd.grad(alone, x)[0], 1e-4, 1e-4)
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.uint8], ids=str)
@@ -105,10 +127,12 @@ def test_more_images_than_a_table_has(device):
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.uint8], ids=str)
 @pytest.mark.parametrize("layout", LAYOUTS)
-def test_each_operation(layout, dtype, device):
+@pytest.mark.parametrize("channels", [3, 1, 4])
+def test_each_operation(channels, layout, dtype, device):
     """All on images of each size, by the operator and by its reference."""
     names = ["rotate" if name == "identity" else name for name in OPERATIONS]
-    images = [LAYOUTS[layout](x) for size in SIZES for x in pictures(device, [size] * len(names), dtype)]
+    sizes = [size for size in SIZES for _ in names]
+    images = [LAYOUTS[layout](x) for x in of_channels(channels, device, dtype, sizes)]
     numbers = torch.tensor([OPERATIONS[name].number for name in names], device=device).repeat(len(SIZES))
     operation = torch.stack([torch.full_like(numbers, -1), numbers], 1)
     value = torch.full(operation.shape, 0.7, device=device)
@@ -171,10 +195,12 @@ def test_a_list_has_a_graph(device):
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.uint8], ids=str)
+@pytest.mark.parametrize("channels", [3, 1])
 @policies
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="launches are counted on a GPU")
-def test_as_many_launches_as_a_batch(name, dtype):
-    augment, images = POLICIES_AND_MIXTURES[name](), pictures("cuda", [(40 + b, 60 - b) for b in range(40)], dtype)
+def test_as_many_launches_as_a_batch(name, channels, dtype):
+    sizes = [(40 + b, 60 - b) for b in range(40)]
+    augment, images = POLICIES_AND_MIXTURES[name](), of_channels(channels, "cuda", dtype, sizes)
     batch, seeds = torch.stack([images[0]] * 40), seeds_of(images)
     of_list, of_batch = (launches(partial(augment, x, seed=seeds)) for x in (images, batch))
     assert of_list <= of_batch

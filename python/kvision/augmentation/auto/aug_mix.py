@@ -194,7 +194,7 @@ def _mixture(x: Tensor, weights: Tensor, chains: Iterable[Tensor]) -> Tensor:
 
 # --- lists of images ------------------------------------------------------------------------------------------------
 
-# Arguments: images (3, h, w); numbers (B, S) of the operations of all chains; their values (B, S); weights (B, 1 + chains) of the
+# Arguments: images (C, h, w); numbers (B, S) of the operations of all chains; their values (B, S); weights (B, 1 + chains) of the
 # image and of its chains.
 
 
@@ -215,7 +215,7 @@ def _gradients(needs: Sequence[bool], grads: Sequence[Any], images: Sequence[Ten
 
 
 def _vjp(grad: Tensor, x: Tensor, operation: Tensor, value: Tensor, weights: Tensor) -> Tensor:
-    """The gradient of an image (1, 3, h, w) from that of its mixture."""
+    """The gradient of an image (1, C, h, w) from that of its mixture."""
     image, *of_chains = weights[0].to(grad.dtype).unbind()
     gradient = grad * image
     for weight, chain in zip(of_chains, _chains_of(operation, value, weights)):

@@ -111,13 +111,13 @@ def execute_steps(
 
 
 def _has_kernel(x: Tensor, operation: Tensor, value: Tensor, kernel: FastPath) -> bool:
-    is_usual = x.shape[1] == 3 and operation.dtype == torch.int64 and value.dtype == torch.float32
+    is_usual = x.shape[1] > 0 and operation.dtype == torch.int64 and value.dtype == torch.float32
     return is_usual and not value.requires_grad and kernel.serves(x)
 
 
 # --- a step with its gradient ---------------------------------------------------------------------------------------
 
-# Arguments: images (B, 3, H, W); numbers (B,) of the operations; their values (B,).
+# Arguments: images (B, C, H, W); numbers (B,) of the operations; their values (B,).
 
 
 def _reference(x: Tensor, operation: Tensor, value: Tensor) -> tuple[Tensor, Tensor]:
@@ -132,8 +132,8 @@ def _reference_backward(grad: Tensor, x: Tensor, operation: Tensor, value: Tenso
 
 
 def _supports(x: Tensor, operation: Tensor, value: Tensor) -> str | None:
-    """Images have three channels and a pixel, and are float32, or on CUDA float16 or bfloat16."""
-    if x.shape[1] != 3 or not x.numel():
+    """Images have a pixel, and are float32, or on CUDA float16 or bfloat16."""
+    if not x.numel():
         return f"there is no kernel for images {tuple(x.shape)}"
     if x.dtype != torch.float32 and not (x.is_cuda and x.dtype in (torch.float16, torch.bfloat16)):
         return f"there is no kernel for {x.dtype} on {x.device.type}"
@@ -203,7 +203,7 @@ def _supports_list(images: Sequence[Tensor], operation: Tensor, value: Tensor, *
     return "there is no kernel for gradients of values" if reason is None and value.requires_grad else reason
 
 
-# Arguments: images (3, h, w); numbers (B, S) of the operations of S steps; their values (B, S). The matrices (S, B, 3, 3) follow
+# Arguments: images (C, h, w); numbers (B, S) of the operations of S steps; their values (B, S). The matrices (S, B, 3, 3) follow
 # the results.
 
 
@@ -213,7 +213,7 @@ def _reference_of_list(images: Sequence[Tensor], operation: Tensor, value: Tenso
 
 
 def steps_reference(x: Tensor, operation: Tensor, value: Tensor) -> tuple[Tensor, Tensor]:
-    """What steps (1, S) make of an image (1, 3, h, w), and their matrices (S, 1, 3, 3)."""
+    """What steps (1, S) make of an image (1, C, h, w), and their matrices (S, 1, 3, 3)."""
     matrices = []
     for step in zip(operation.unbind(1), value.unbind(1)):
         x, matrix = _apply_operation.reference(x, *step)
@@ -237,7 +237,7 @@ def _gradients_of_list(
 
 
 def steps_vjp(grad: Tensor, x: Tensor, operation: Tensor, value: Tensor) -> Tensor:
-    """The gradient of an image (1, 3, h, w) from that of what steps make of it, which run again."""
+    """The gradient of an image (1, C, h, w) from that of what steps make of it, which run again."""
     steps = list(zip(operation.unbind(1), value.unbind(1)))
     before = [x]
     for step in steps[:-1]:

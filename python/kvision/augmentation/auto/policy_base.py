@@ -52,9 +52,9 @@ class PolicyAugmentBase(ImageSequential):
     """Base of the policies: each sample gets one of some sub-policies, whose operations run one after the other.
 
     The choices and the values of all samples are drawn at once, and one kernel runs a step on the batch, each sample's
-    operation alone, so that nothing waits for the device; another one has its gradient. For images of float64 or of other than
-    three channels, an operation runs on the whole batch, without effect on samples with another one. Color leaves those of other
-    than three channels as they are, and contrast is about the mean of all their channels.
+    operation alone, so that nothing waits for the device; another one has its gradient. For images of float64, an operation runs
+    on the whole batch, without effect on samples with another one. Color leaves images of other than three channels as they
+    are, and contrast is about the mean of all their channels.
 
     Values in which an operation has a direction (rotate, shear, translate) or a neutral factor (color, contrast,
     brightness, sharpness) are mirrored about the value that changes nothing for a random half of the samples.

@@ -65,7 +65,7 @@ __device__ __forceinline__ void mark_tile(EraseMarked<T> const& p, int64_t b, in
 
 // Of the tile of sample b that begins at (left, top), P elements of a row for each thread. A row of a channels-last
 // image has all channels of its pixels.
-template <int P, class Params>
+template <int P, bool KeepsErased = false, class Params>
 __device__ __forceinline__ void erase_tile(Params const& p, int64_t b, int64_t left, int64_t top, int most_rows,
                                            TileBits& erased) {
   using T = typename Params::Stored;
@@ -79,7 +79,14 @@ __device__ __forceinline__ void erase_tile(Params const& p, int64_t b, int64_t l
     int const c = i / per_plane, y = (i - c * per_plane) / vectors, k = (i - c * per_plane - y * vectors) * P;
     int64_t const plane = b * p.planes_per_sample + c, first = left * step + k;
     Vector<T, P> v = *reinterpret_cast<Vector<T, P> const*>(p.x.row(plane, top + y) + first);
-    if (step == 1) {
+    if constexpr (KeepsErased) {
+      Vector<T, P> const kept = *reinterpret_cast<Vector<T, P> const*>(p.y.row(plane, top + y) + first);
+#pragma unroll
+      for (int j = 0; j < P; ++j) {
+        int const column = (k + j) / step;
+        if (erased[y][column / 32] >> (column % 32) & 1) v.v[j] = kept.v[j];
+      }
+    } else if (step == 1) {
       uint32_t const bits = erased[y][k / 32] >> (k % 32);
       T const value = round_to<T>(p.value(b, c, k));
 #pragma unroll
@@ -137,7 +144,7 @@ int launch_erase(Params const& p, CUstream_st* stream) {
                                                                 : launch_tiles<1>(p, stream);
 }
 
-template <class All>
+template <class All, bool KeepsErased>
 __global__ void __launch_bounds__(kEraseThreads) erase_list(__grid_constant__ EraseList<All> const p) {
   __shared__ TileBits erased;
   int const b = p.list.sample_of(int(blockIdx.x)), tile = int(blockIdx.x) - p.list.first[b];
@@ -146,15 +153,16 @@ __global__ void __launch_bounds__(kEraseThreads) erase_list(__grid_constant__ Er
   int64_t const left = int64_t(tile % across) * kEraseColumns, top = int64_t(tile / across) * kEraseRows;
   constexpr int P = 16 / sizeof(typename All::Stored);
   if (has_whole_vectors<P>(one.x) && has_whole_vectors<P>(one.y))
-    erase_tile<P>(one, 0, left, top, kEraseRows, erased);
+    erase_tile<P, KeepsErased>(one, 0, left, top, kEraseRows, erased);
   else
-    erase_tile<1>(one, 0, left, top, kEraseRows, erased);
+    erase_tile<1, KeepsErased>(one, 0, left, top, kEraseRows, erased);
 }
 
 template <class All>
 int launch_list(EraseList<All> const& p, CUstream_st* stream) {
   static_assert(sizeof(EraseList<All>) <= 32764, "more than a kernel's parameters");
-  erase_list<All><<<unsigned(p.list.items), kEraseThreads, 0, stream>>>(p);
+  auto* const kernel = p.all.keeps_erased() ? erase_list<All, true> : erase_list<All, false>;
+  kernel<<<unsigned(p.list.items), kEraseThreads, 0, stream>>>(p);
   return cudaGetLastError();
 }
 

@@ -13,11 +13,12 @@ struct Erase {
   using Stored = T;
   Planes<T const> x;
   Planes<T> y;
-  Compute<T> const* values;              // (B, C)
+  Compute<T> const* values;              // (B, C); null: what the results hold stays there
   int64_t samples;                       // B
   int64_t planes_per_sample;             // 1 where a plane has all channels
   int64_t value_stride, channel_stride;  // of a sample, and of a channel
 
+  KV_HD bool keeps_erased() const { return !values; }
   // Of an element of a row of plane c of a sample.
   KV_HD Compute<T> value(int64_t b, int64_t c, int64_t element) const {
     return values[b * value_stride + (channel_stride && x.step > 1 ? element % x.step : c) * channel_stride];

@@ -3,22 +3,32 @@
 
 #include "augmentation/erase.h"
 #include "core/lanes.h"
+#include "core/scratch.h"
 #include "geometry/transform/lists/list_items.h"
 
 namespace kv::augmentation::KV_ISA {
 
 namespace {
 
-// Copies rows and calls erase_row(sample, row, erase), which calls erase(first pixel, end).
+// Copies rows and calls erase_row(sample, row, erase), which calls erase(first pixel, end). What stays of a row is
+// copied back from where it was saved.
 template <class Params, class EraseRow>
 KV_HD void erase_rows(Params const& p, int64_t begin, int64_t end, EraseRow erase_row) {
   using T = typename Params::Stored;
+  size_t const bytes = size_t(p.x.row_size()) * sizeof(T);
+  Scratch<T> const saved(p.keeps_erased() ? p.x.row_size() : 0);
   for (int64_t r = begin; r < end; ++r) {
     int64_t const plane = r / p.x.height, y = r % p.x.height, step = p.x.step;
     int64_t const b = plane / p.planes_per_sample, c = plane % p.planes_per_sample;
     T* const row = p.y.row(plane, y);
-    __builtin_memcpy(row, p.x.row(plane, y), size_t(p.x.row_size()) * sizeof(T));
+    if (p.keeps_erased()) __builtin_memcpy(saved.data, row, bytes);
+    __builtin_memcpy(row, p.x.row(plane, y), bytes);
     erase_row(b, y, [&](int64_t first, int64_t last) {
+      if (p.keeps_erased()) {
+        if (first < last)
+          __builtin_memcpy(row + first * step, saved.data + first * step, size_t((last - first) * step) * sizeof(T));
+        return;
+      }
       for (int64_t i = first * step; i < last * step; ++i) store<1>(row + i, Lanes<Compute<T>, 1>(p.value(b, c, i)));
     });
   }

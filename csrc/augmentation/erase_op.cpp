@@ -1,15 +1,17 @@
 // Erased rectangles, grids and marked pixels: schemas and entries, for CPU and CUDA.
 #include "augmentation/erase.h"
+#include "augmentation/lists/list_steps.h"
 #include "geometry/transform/lists/list_glue.h"
 
 namespace kv::augmentation {
 namespace {
 
 // Images (B, C, H, W), or what stands for a list; parts (B or 1, ...) float32; values (B, C), or (B, 1) for all
-// channels, of the type that is computed in.
+// channels, of the type that is computed in; none where the results hold them.
 struct EraseArguments {
   char const* op;
-  Tensor const &images, &parts, &values;
+  Tensor const &images, &parts;
+  Tensor const* values;
 
   void check(bool are_parts, char const* expected, ScalarType type = ScalarType::Float) const {
     check_images(op, "images", images);
@@ -19,9 +21,11 @@ struct EraseArguments {
     };
     KV_CHECK(are_parts && fits(parts, type), op, ": expected ", type == ScalarType::Float ? "float32 " : "uint8 ",
              expected, " on the device of images");
-    KV_CHECK(
-        values.dim() == 2 && fits(values, compute_dtype(images)) && (values.size(1) == channels || values.size(1) == 1),
-        op, ": expected values of shape (B, C) or (B, 1), of the type that is computed in, on the device of images");
+    if (!values) return;
+    KV_CHECK(values->dim() == 2 && fits(*values, compute_dtype(images)) &&
+                 (values->size(1) == channels || values->size(1) == 1),
+             op,
+             ": expected values of shape (B, C) or (B, 1), of the type that is computed in, on the device of images");
   }
   void check_boxes() const { check(parts.dim() == 3 && parts.size(2) == 4, "boxes of shape (B, N, 4)"); }
   void check_grids() const { check(parts.dim() == 2 && parts.size(1) == kGridNumbers, "grids of shape (B, 5)"); }
@@ -31,11 +35,12 @@ struct EraseArguments {
   template <class T>
   Erase<T> params(Layout layout) const {
     Erase<T> p{};
-    p.values = data_ptr<Compute<T> const>(values);
     p.samples = images.size(0);
     p.planes_per_sample = layout == Layout::channels_last ? 1 : images.size(1);
-    p.value_stride = values.size(0) > 1 ? values.stride(0) : 0;
-    p.channel_stride = values.size(1) > 1 ? values.stride(1) : 0;
+    if (!values) return p;
+    p.values = data_ptr<Compute<T> const>(*values);
+    p.value_stride = values->size(0) > 1 ? values->stride(0) : 0;
+    p.channel_stride = values->size(1) > 1 ? values->stride(1) : 0;
     return p;
   }
   template <class T>
@@ -71,7 +76,7 @@ void set_images(Erase<T>& p, Tensor const& x, Tensor const& y, Layout layout) {
 }
 
 Tensor erase_rectangles(Tensor const& images, Tensor const& boxes, Tensor const& values) {
-  EraseArguments const a{"erase_rectangles", images, boxes, values};
+  EraseArguments const a{"erase_rectangles", images, boxes, &values};
   a.check_boxes();
   Tensor const own = readable_boxes(boxes);
   return erase(a, [&]<class T>(Type<T>, Layout layout, Tensor const& x, Tensor const& y) {
@@ -83,7 +88,7 @@ Tensor erase_rectangles(Tensor const& images, Tensor const& boxes, Tensor const&
 
 // Grids (B, 5): the width of lines, the angle, offsets along x and y, the number of cells.
 Tensor erase_grid(Tensor const& images, Tensor const& grids, Tensor const& values) {
-  EraseArguments const a{"erase_grid", images, grids, values};
+  EraseArguments const a{"erase_grid", images, grids, &values};
   a.check_grids();
   a.check_side(images.size(2)), a.check_side(images.size(3));
   Tensor const own = dense(grids);
@@ -121,8 +126,8 @@ Tensors erase_list(geometry::KeptSizes const& kept, EraseArguments const& a, Ten
   return kept.results;
 }
 
-Tensors erase_rectangles_list(Tensors const& images, Tensor const& boxes, Tensor const& values) {
-  geometry::KeptSizes const kept("erase_rectangles_list", images);
+Tensors rectangles_of_list(geometry::KeptSizes const& kept, Tensors const& images, Tensor const& boxes,
+                           Tensor const* values) {
   EraseArguments const a{kept.op, kept.largest, boxes, values};
   a.check_boxes();
   Tensor const own = readable_boxes(boxes);
@@ -133,8 +138,8 @@ Tensors erase_rectangles_list(Tensors const& images, Tensor const& boxes, Tensor
       });
 }
 
-Tensors erase_grid_list(Tensors const& images, Tensor const& grids, Tensor const& values) {
-  geometry::KeptSizes const kept("erase_grid_list", images);
+Tensors grids_of_list(geometry::KeptSizes const& kept, Tensors const& images, Tensor const& grids,
+                      Tensor const* values) {
   EraseArguments const a{kept.op, kept.largest, grids, values};
   a.check_grids();
   for (int64_t const side : kept.sides) a.check_side(side);
@@ -147,8 +152,8 @@ Tensors erase_grid_list(Tensors const& images, Tensor const& grids, Tensor const
 }
 
 // Marks (B or 1, 1, H, W) uint8 of the largest sides.
-Tensors erase_marked_list(Tensors const& images, Tensor const& marks, Tensor const& values) {
-  geometry::KeptSizes const kept("erase_marked_list", images);
+Tensors marked_of_list(geometry::KeptSizes const& kept, Tensors const& images, Tensor const& marks,
+                       Tensor const* values) {
   EraseArguments const a{kept.op, kept.largest, marks, values};
   bool fit = marks.dim() == 4 && marks.size(1) == 1;
   for (Tensor const& x : images) fit = fit && x.size(1) <= marks.size(2) && x.size(2) <= marks.size(3);
@@ -161,6 +166,25 @@ Tensors erase_marked_list(Tensors const& images, Tensor const& marks, Tensor con
       });
 }
 
+Tensors erase_rectangles_list(Tensors const& images, Tensor const& boxes, Tensor const& values) {
+  return rectangles_of_list({"erase_rectangles_list", images}, images, boxes, &values);
+}
+Tensors erase_grid_list(Tensors const& images, Tensor const& grids, Tensor const& values) {
+  return grids_of_list({"erase_grid_list", images}, images, grids, &values);
+}
+Tensors erase_marked_list(Tensors const& images, Tensor const& marks, Tensor const& values) {
+  return marked_of_list({"erase_marked_list", images}, images, marks, &values);
+}
+
+// Sets parts, which are boxes, grids or marks, to uniform noise: the results are filled with it before.
+Tensors fill_with_noise_list(Tensors const& images, Tensor const& parts, Tensor const& parameters, Tensor const& keys,
+                             OptionalTensor const& seeds, std::vector<int64_t> const& plan) {
+  geometry::KeptSizes const kept("fill_with_noise_list", images);
+  steps::fill_with_noise(kept, parameters, keys, seeds, plan);
+  auto* const of_list = parts.dim() == 3 ? rectangles_of_list : parts.dim() == 2 ? grids_of_list : marked_of_list;
+  return of_list(kept, images, parts, nullptr);
+}
+
 }  // namespace
 
 KV_OPERATOR(erase_rectangles, "(Tensor images, Tensor boxes, Tensor values) -> Tensor")
@@ -169,5 +193,7 @@ KV_OPERATOR(erase_grid, "(Tensor images, Tensor grids, Tensor values) -> Tensor"
 KV_OPERATOR(erase_rectangles_list, "(Tensor[] images, Tensor boxes, Tensor values) -> Tensor[]")
 KV_OPERATOR(erase_grid_list, "(Tensor[] images, Tensor grids, Tensor values) -> Tensor[]")
 KV_OPERATOR(erase_marked_list, "(Tensor[] images, Tensor marks, Tensor values) -> Tensor[]")
+KV_OPERATOR(fill_with_noise_list,
+            "(Tensor[] images, Tensor parts, Tensor parameters, Tensor keys, Tensor? seeds, int[] plan) -> Tensor[]")
 
 }  // namespace kv::augmentation

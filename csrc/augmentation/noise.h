@@ -16,7 +16,8 @@ constexpr int multiply = 1, clamp = 2,
 constexpr int by_channel = 8,
               random = 16;  // of hit pixels: those of each channel; they get uniform noise of the next draw
 constexpr int unit = 32;    // of uniform noise: in [0, 1] in place of [-1, 1]
-constexpr int all = 63;
+constexpr int all = 63;     // of those that operators take
+constexpr int alone = 64;   // normal and uniform noise takes the place of the images
 }  // namespace NoiseForm
 
 // Dense images, planar or channels-last.
@@ -63,7 +64,7 @@ struct PixelNoise {
   template <class V>
   KV_HD V noisy(V x, V n) const {
     using F = Compute<T>;
-    V y = x + n;
+    V y = has(NoiseForm::alone) ? n : x + n;
     if (has(NoiseForm::multiply)) y = x * n;
     if (has(NoiseForm::clamp)) {  // NaN stays
       V const low = V{}, high = V{} + F(full_range);

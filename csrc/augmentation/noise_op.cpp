@@ -113,10 +113,11 @@ Tensor salt_and_pepper_backward(Tensor const& grad, Tensor const& parameters, Te
 // The same on images (C, H, W) of different sizes: `run` calls the kernel for the samples of a table. `by_pixel`: a
 // thread has all channels of its pixels.
 template <class Run>
-Tensors run_noise_list(char const* op, Tensors const& images, Tensor const& parameters, Tensor const& keys,
-                       OptionalTensor const& seeds, OptionalTensor const& chosen, std::vector<int64_t> const& plan,
-                       double salt, [[maybe_unused]] bool by_pixel, Run const& run, bool in_block = false) {
-  geometry::KeptSizes const kept(op, images, in_block);
+void run_noise_list(geometry::KeptSizes const& kept, Tensors const& images, Tensor const& parameters,
+                    Tensor const& keys, OptionalTensor const& seeds, OptionalTensor const& chosen,
+                    std::vector<int64_t> const& plan, double salt, [[maybe_unused]] bool by_pixel, Run const& run,
+                    int further_form = 0) {
+  char const* const op = kept.op;
   Tensor const& like = kept.largest;
   NoiseArguments const arguments{op, like, parameters, keys, seeds, chosen, plan};
   arguments.check();
@@ -134,6 +135,7 @@ Tensors run_noise_list(char const* op, Tensors const& images, Tensor const& para
   dispatch_floating_and_uint8(op, like, [&]<class T>(Type<T>) {
     PixelNoiseList<T> list;
     PixelNoise<T> all = arguments.params<T>(p, salt);
+    all.form |= further_form;
     all.channels = channels;
     all.channel_stride = 1, all.step = kept.interleaved() ? channels : 1;
     kept.for_each_table(list.list, rows, items_of, [&](size_t first) {
@@ -142,6 +144,13 @@ Tensors run_noise_list(char const* op, Tensors const& images, Tensor const& para
       run(like, list, kNoiseChunk * channels);
     });
   });
+}
+template <class Run>
+Tensors run_noise_list(char const* op, Tensors const& images, Tensor const& parameters, Tensor const& keys,
+                       OptionalTensor const& seeds, OptionalTensor const& chosen, std::vector<int64_t> const& plan,
+                       double salt, bool by_pixel, Run const& run, bool in_block = false) {
+  geometry::KeptSizes const kept(op, images, in_block);
+  run_noise_list(kept, images, parameters, keys, seeds, chosen, plan, salt, by_pixel, run);
   return kept.results;
 }
 
@@ -201,6 +210,13 @@ Tensors steps::drawn_noise(Tensor const& like, int64_t channels, std::vector<int
   };
   return normal ? noise([](auto const&... list) { run_gaussian_list(list...); })
                 : noise([](auto const&... list) { run_uniform_list(list...); });
+}
+
+void steps::fill_with_noise(geometry::KeptSizes const& kept, Tensor const& parameters, Tensor const& keys,
+                            OptionalTensor const& seeds, std::vector<int64_t> const& plan) {
+  run_noise_list(
+      kept, kept.results, parameters, keys, seeds, {}, plan, 0, false,
+      [](auto const&... list) { run_uniform_list(list...); }, NoiseForm::alone);
 }
 
 #define KV_NOISE "Tensor parameters, Tensor keys, Tensor? seeds, Tensor? chosen, int[] plan) -> Tensor"

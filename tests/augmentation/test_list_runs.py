@@ -67,6 +67,13 @@ NOISES = {
     "salt": lambda: (A.RandomSaltAndPepperNoise(0.2, p=0.7),),
     "factors": lambda: (A.SpeckleNoise(p=0.7), A.MultiplicativeNoise(per_channel=True, elementwise=True, p=1.0)),
     "dropped": lambda: (A.PixelDropout(0.2, p=0.7), A.PixelDropout(0.2, True, "random", p=0.7)),
+    "erased": lambda: (
+        A.RandomErasing(value="random", p=0.7),
+        A.RandomHorizontalFlip(),
+        A.CoarseDropout((1, 3), fill="random", p=0.7),
+    ),
+    "lines of noise": lambda: (A.GridMask(fill="random", p=0.7),),
+    "units of noise": lambda: (A.GridDropout(fill="random", p=0.7),),
     "photons": lambda: (A.ShotNoise(p=0.7), A.RandomHorizontalFlip()),
     "sensor": lambda: (A.ISONoise(p=0.7),),
     "glass": lambda: (A.GlassBlur(p=0.7), A.RandomHorizontalFlip(), A.GlassBlur(0.3, 2, 1, p=0.7)),
@@ -238,7 +245,7 @@ def test_square_images_of_a_list_are_turned_as_alone(device):
 
 
 @pytest.mark.tracing
-@pytest.mark.parametrize("name", [name for name in PASSES_AND_NOISES if name != "units"])  # as many graphs as grids
+@pytest.mark.parametrize("name", [name for name in PASSES_AND_NOISES if "units" not in name])  # as many graphs as grids
 def test_compiles_twice_at_most_a_length(name, device):
     from torch._dynamo.testing import CompileCounter
 

@@ -5,6 +5,10 @@
 #include "core/border.h"
 #include "glue/image_list.h"
 
+namespace kv::geometry {
+struct KeptSizes;
+}
+
 namespace kv::augmentation {
 
 using OptionalTensor = std::optional<Tensor>;
@@ -15,6 +19,9 @@ namespace steps {
 Tensors drawn_noise(Tensor const& like, int64_t channels, std::vector<int64_t> const& sides, bool normal,
                     Tensor const& parameters, Tensor const& keys, OptionalTensor const& seeds,
                     OptionalTensor const& chosen, std::vector<int64_t> const& plan);
+// Fills the results of a list with uniform noise; the rest as uniform_noise has it.
+void fill_with_noise(geometry::KeptSizes const& kept, Tensor const& parameters, Tensor const& keys,
+                     OptionalTensor const& seeds, std::vector<int64_t> const& plan);
 Tensors gaussian_blur(Tensors const& images, OptionalTensor const& sigma, int64_t ky, int64_t kx, double sigma_y,
                       double sigma_x, Border border);
 // Sigmas of `sigma` heights and widths; the block with the results.

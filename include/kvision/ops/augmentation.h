@@ -22,7 +22,7 @@ inline variable_list transform_matrix_gradients(Backward const& b);
 
 inline constexpr Operator<"apply_operations", Two(Tensor images, Tensor operation, Tensor value)> apply_operations{
     no_gradient};
-// A step of a policy: each image (B, 3, H, W) gets the operation of its number, with its value; -1 is none. Returns the
+// A step of a policy: each image (B, C, H, W) gets the operation of its number, with its value; -1 is none. Returns the
 // images and the matrices (B, 3, 3) of operations that move pixels. operation_table.py has the numbers and the values.
 inline constexpr Operator<"apply_operation", Two(Tensor images, Tensor operation, Tensor value)> apply_operation{
     Rule{detail::apply_operation_gradients}};

@@ -1,4 +1,4 @@
-"""Sets rectangles of images, the lines of grids or marked pixels to a value."""
+"""Sets rectangles of images, the lines of grids or marked pixels to a value or to noise."""
 
 from __future__ import annotations
 
@@ -8,9 +8,12 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from kvision._constants import constant
+from kvision._dtype import compute_dtype
 from kvision._list_ops import ListOperator
 from kvision._ops import Operator, match_layout, register, saturate_to_byte
-from kvision.geometry.transform.lists.arguments import fake_results, row, sizes
+from kvision.augmentation.noise import UNIT, PixelNoise, of_sample_of_list, uniform_noise
+from kvision.geometry.transform.lists.arguments import fake_results, like_batch, row, sizes
 from kvision.geometry.transform.lists.kept_sizes import Operation, register_list
 
 
@@ -90,7 +93,7 @@ def _of_sample(b: int, parts: Tensor, values: Tensor) -> tuple[Tensor, Tensor]:
     return row(parts, b), row(values, b)
 
 
-def _register_list(name: str, erase: Operator) -> None:
+def _register_list(name: str, erase: Operator) -> ListOperator:
     def gradients(needs: Sequence[bool], grad: Tensor, images: Tensor, *args: Tensor) -> list[Tensor | None]:
         return _gradients(erase, needs, grad, *args)
 
@@ -98,21 +101,27 @@ def _register_list(name: str, erase: Operator) -> None:
         return of_list(grads, parts, torch.zeros_like(values))
 
     of_list = register_list(name, erase, _of_sample, gradients, of_images=of_images)
+    return of_list
 
 
-_register_list("erase_rectangles_list", erase_rectangles)
-_register_list("erase_grid_list", erase_grid)
+_rectangles_of_list = _register_list("erase_rectangles_list", erase_rectangles)
+_grids_of_list = _register_list("erase_grid_list", erase_grid)
 
 
 # Pixels that are marked, (B, 1, H, W) uint8 for the largest sides: of lists only.
+
+
+def is_marked(images: Tensor, marks: Tensor) -> Tensor:
+    """Which pixels (B, 1, H, W) marks of at least their sizes are not 0 at."""
+    return marks[..., : images.shape[2], : images.shape[3]] != 0
 
 
 def _marked_reference(images: Sequence[Tensor], marks: Tensor, values: Tensor) -> list[Tensor]:
     results = []
     for b, x in enumerate(images):
         own = saturate_to_byte(values) if x.dtype == torch.uint8 else values
-        is_marked = row(marks, b)[0, :, : x.shape[1], : x.shape[2]] != 0
-        results.append(torch.where(is_marked, row(own, b)[0, :, None, None].to(x.dtype), x))
+        is_part = is_marked(x[None], row(marks, b))[0]
+        results.append(torch.where(is_part, row(own, b)[0, :, None, None].to(x.dtype), x))
     return results
 
 
@@ -133,3 +142,49 @@ erase_marked_list = ListOperator(
     fake=lambda images, *args: fake_results(images, sizes(images)),
     backward=_marked_gradients,
 )
+
+
+# Uniform noise in [0, 1] in place of a value. Arguments: images; parts: boxes, grids or marks; parameters, keys, seeds and plan of
+# noise.py.
+
+
+def _filled_reference(
+    images: Sequence[Tensor],
+    parts: Tensor,
+    parameters: Tensor,
+    keys: Tensor,
+    seeds: Tensor | None,
+    plan: Sequence[int],
+) -> list[Tensor]:
+    is_part = {3: is_erased, 2: is_line, 4: is_marked}[parts.dim()]
+    results = []
+    for b, x in enumerate(images):
+        own = of_sample_of_list(b, parameters, keys, seeds, None, plan)
+        noise = uniform_noise.reference(torch.zeros_like(x)[None], *own)
+        results.append(torch.where(is_part(x[None], row(parts, b)), noise, x[None])[0])
+    return results
+
+
+def _filled_gradients(
+    needs: Sequence[bool], grads: Sequence[Tensor], images: Sequence[Tensor], parts: Tensor, *args: Any
+) -> list[Any]:
+    erase = {3: _rectangles_of_list, 2: _grids_of_list, 4: erase_marked_list}[parts.dim()]
+    kept = erase(grads, parts, constant(((0.0,),), grads[0], compute_dtype(grads[0])))
+    return [kept, *(None,) * (len(needs) - 1)]
+
+
+fill_with_noise_list = ListOperator(
+    "fill_with_noise_list",
+    erase_rectangles,
+    _filled_reference,
+    fake=lambda images, *args: fake_results(images, sizes(images)),
+    backward=_filled_gradients,
+)
+
+
+def fill_with_noise(images: Sequence[Tensor], parts: Tensor, noise: PixelNoise) -> list[Tensor]:
+    """Images of a list whose parts are set to uniform noise."""
+    keys, seeds, _, plan = noise.arguments(form=UNIT)
+    like = like_batch(images)
+    parameters = constant(((0.0, 1.0),), like, compute_dtype(like))
+    return list(fill_with_noise_list(images, parts, parameters, keys, seeds, plan))

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from kvision._dtype import compute_dtype
 from kvision.augmentation.engine import Execution, Params
-from kvision.augmentation.erase import erase_rectangles, erased_where, is_erased
+from kvision.augmentation.erase import erase_rectangles, erased_where, fill_with_noise, is_erased
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
 from kvision.augmentation.lists.masks import filled_masks
 from kvision.augmentation.random_generator.erase import RectangleEraseGenerator
@@ -70,28 +70,39 @@ class RandomErasing(IntensityAugmentationBase2D, keeps_contract=True):
         boxes, values = self._boxes_and_values(like, params)
         return Operation(erase_rectangles, (boxes, values if values.dim() == 2 else values[:, None]))
 
+    def _operates_on(self, dtype: torch.dtype) -> bool:
+        if self._param_generator.per_pixel:  # noise is float32
+            return dtype != torch.float64 and not self._is_customized()
+        return super()._operates_on(dtype)
+
     def _run_list(self, images: Sequence[Tensor], execution: Execution) -> list[Tensor]:
         like = like_batch(images)
-        operation = self._operation(like, self._params_on_device(like, execution, for_users=False))
+        params = self._drawn_params(like, execution)
+        if self._param_generator.per_pixel:
+            noise = self._pixel_noise(execution, execution.redraw, like.device)
+            return fill_with_noise(images, self._boxes(params, tuple(like.shape)), noise)
+        operation = self._operation(like, params)
         return erased_where(operation, None if execution.params is None else execution.chosen).on_list(images)
+
+    def _boxes(self, params: Params, shape: tuple[int, ...]) -> Tensor:
+        boxes: Tensor = self._param_generator.to_columns(params, shape)[:, None]
+        return boxes
 
     def _boxes_and_values(self, like: Tensor, params: Params) -> tuple[Tensor, Tensor]:
         """The boxes (B, 1, 4), and the values in the units of images."""
         values = params["values"].to(compute_dtype(like))
-        boxes = self._param_generator.to_columns(params, tuple(like.shape))[:, None]
+        boxes = self._boxes(params, tuple(like.shape))
         return boxes, values * 255 if like.dtype == torch.uint8 else values
 
     def _move_mask_list(self, masks: list[Tensor], execution: Execution, fill: Any) -> list[Tensor] | None:
-        like = like_batch(masks)
-        params = self._params_on_device(like, execution, for_users=False)
-        boxes = self._param_generator.to_columns(params, execution.shape)[:, None]
+        boxes = self._boxes(self._drawn_params(like_batch(masks), execution), execution.shape)
         return filled_masks(masks, fill or 0, lambda x, value: Operation(erase_rectangles, (boxes, value)).on_list(x))
 
     def transform_masks(self, masks: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
         if not execution.applied:
             return masks
         params = self._params_on_device(masks, execution)
-        erased = is_erased(masks, self._param_generator.to_columns(params, execution.shape)[:, None])
+        erased = is_erased(masks, self._boxes(params, execution.shape))
         if execution.chosen is not None:
             erased = erased & execution.chosen.to(masks.device)[:, None, None, None]
         return masks.masked_fill(erased, flags.get("mask_fill", 0))

@@ -318,7 +318,7 @@ salt_and_pepper = register(
 # --- lists ----------------------------------------------------------------------------------------------------------
 
 
-def _of_sample(
+def of_sample_of_list(
     b: int, parameters: Tensor, keys: Tensor, seeds: Tensor | None, chosen: Tensor | None, plan: Sequence[int]
 ) -> tuple[Any, ...]:
     """The arguments of an image of a list, by its number."""
@@ -336,7 +336,7 @@ def of_sample_without_maps(
     plan: Sequence[int],
 ) -> tuple[Any, ...]:
     """The same of operators that may be given their numbers: those of lists draw them."""
-    *own, own_plan = _of_sample(b, parameters, keys, seeds, chosen, plan)
+    *own, own_plan = of_sample_of_list(b, parameters, keys, seeds, chosen, plan)
     return *own, None, own_plan
 
 
@@ -377,13 +377,15 @@ def _register_list(name: str, operator: str) -> None:
         row, _ = _gradients_of_added(row_of(grads), row_of(images), term, chooses != 0, form)
         return [g.view(x.shape) for g, x in zip(row.to(grads[0].dtype).split(counts), images)]
 
-    of_list = register_list(name, _ADDED[operator], _of_sample, partial(_noise_backward, operator), of_images=of_images)
+    of_list = register_list(
+        name, _ADDED[operator], of_sample_of_list, partial(_noise_backward, operator), of_images=of_images
+    )
 
 
 _register_list("gaussian_noise_list", "gaussian_noise")
 _register_list("uniform_noise_list", "uniform_noise")
 _salt_and_pepper_list = register_list(
-    "salt_and_pepper_list", salt_and_pepper, _of_sample, _salt_and_pepper_gradients, of_images=_all_pepper
+    "salt_and_pepper_list", salt_and_pepper, of_sample_of_list, _salt_and_pepper_gradients, of_images=_all_pepper
 )
 register_list("shot_noise_list", shot_noise, of_sample_without_maps)
 

@@ -39,6 +39,8 @@ PROGRAMS = {
     "random pixels": lambda: A.PixelDropout(0.3, per_channel=True, drop_value="random", p=1.0),
     "erasing": lambda: A.RandomErasing((0.1, 0.5), value=0.5, p=0.8),
     "grid": lambda: A.GridMask(p=1.0),
+    "erasing with noise": lambda: A.RandomErasing((0.1, 0.5), value="random", p=0.8),
+    "grid of noise": lambda: A.GridMask(fill="random", p=1.0),
     "warp": lambda: A.ImageSequential(A.RandomAffine(20.0), A.ColorJitter(0.3, 0.3, 0.3, 0.1, p=1.0)),
     "size": lambda: A.ImageSequential(A.Pad(3), A.RandomSaturation((0.5, 1.5), p=1.0)),
 }

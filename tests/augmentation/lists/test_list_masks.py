@@ -21,12 +21,17 @@ AUGMENTATIONS = {
     "applied to some": lambda: [A.RandomRotation(30.0, p=1.0, p_batch=0.5), A.RandomHorizontalFlip()],
     "erased": lambda: [A.RandomErasing(p=0.7)],
     "erased, then moved": lambda: [A.RandomErasing(), A.RandomAffine(20.0), A.RandomErasing(p=1.0), A.Transpose(p=1.0)],
+    "erased with noise": lambda: [
+        A.RandomErasing(value="random", p=0.7),
+        A.CoarseDropout(fill="random", fill_mask=1.0),
+    ],
     "dropped": lambda: [A.RandomHorizontalFlip(), A.CoarseDropout(fill=[0.1, 0.2, 0.3]), A.Transpose(p=1.0)],
     "dropped, masks kept": lambda: [A.RandomHorizontalFlip(), A.CoarseDropout(fill_mask=None, p=1.0)],
     "grid": lambda: [A.GridDropout(random_offset=True, p=0.7)],
     "lines": lambda: [A.GridMask(rotation_range=(0.0, 0.5), fill_mask=1.0, p=0.7)],
     "objects": lambda: [A.MaskDropout((1, 9), 0.5, p=0.7)],
     "objects, masks kept": lambda: [A.MaskDropout((1, 9), 0.5, fill_mask=None, p=0.7)],
+    "objects, noise": lambda: [A.MaskDropout((1, 9), "random", p=0.7)],
     "objects, another value": lambda: [A.MaskDropout((1, 9), 0.5, fill_mask=-1.0, p=0.7)],
 }
 TYPES = (torch.uint8, torch.bool, torch.int8, torch.int16, torch.int32, torch.int64, torch.float32, torch.float16)

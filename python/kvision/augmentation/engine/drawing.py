@@ -161,6 +161,12 @@ class Drawing(Declaration):
                 params.update(self._pixel_params(values, execution, noise))
         return params
 
+    def _drawn_params(self, x: Tensor, execution: Execution) -> Params:
+        """The same without numbers of pixels, but those that are given."""
+        if execution.params is not None or execution.columns is None or self._draws_by_name:
+            return self._params_on_device(x, execution, for_users=False)
+        return self._named(execution.columns.values, execution)
+
     def _pixel_noise(self, execution: Execution, redraw: tuple[Keys, int] | None, device: torch.device) -> PixelNoise:
         """The source of the numbers of pixels."""
         if execution.noise is not None:

@@ -14,7 +14,7 @@ from kvision._dtype import compute_dtype
 from kvision._ops import Operator
 from kvision.augmentation import ranges
 from kvision.augmentation.engine import Execution, Params
-from kvision.augmentation.erase import erased_where
+from kvision.augmentation.erase import erased_where, fill_with_noise
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
 from kvision.augmentation.lists.masks import filled_masks
 from kvision.augmentation.ranges import Numbers
@@ -99,14 +99,23 @@ class ErasingDropout(DropoutBase, keeps_contract=True):
         return self._erasing(self._parts(params, tuple(like.shape), like.device), like, params)
 
     def _erasing(self, parts: Tensor, like: Tensor, params: Params) -> Operation:
-        """The operator that sets parts of images like a batch to the fill."""
-        return Operation(self.eraser, (parts, self._values(like, params)[:, :, 0, 0]))
+        """The operator that sets parts of images like a batch to the fill, but for noise."""
+        values = None if isinstance(self.fill, str) else self._values(like, params)[:, :, 0, 0]
+        return Operation(self.eraser, (parts, values))
 
     def _operates_on(self, dtype: torch.dtype) -> bool:
-        return runs_on_lists(self.eraser) and not isinstance(self.fill, str) and not self._is_customized()
+        has_kernel = runs_on_lists(self.eraser) and not self._is_customized()
+        return has_kernel and not (isinstance(self.fill, str) and dtype == torch.float64)  # whose noise is float32
 
     def _run_list(self, images: Sequence[Tensor], execution: Execution) -> list[Tensor]:
-        return self._erasing_of_list(images, like_batch(images), execution).on_list(images)
+        erasing = self._erasing_of_list(images, like_batch(images), execution)
+        if not isinstance(self.fill, str):
+            return erasing.on_list(images)
+        noise = self._pixel_noise(execution, execution.redraw, images[0].device)
+        return fill_with_noise(images, erasing.arguments[0], noise)
+
+    def _operation_on_list(self, images: Sequence[Tensor], like: Tensor, execution: Execution) -> Operation:
+        return self._operation(like, self._drawn_params(like, execution))
 
     def _erasing_of_list(self, images: Sequence[Tensor], like: Tensor, execution: Execution) -> Operation:
         operation = self._operation_on_list(images, like, execution)
@@ -115,8 +124,8 @@ class ErasingDropout(DropoutBase, keeps_contract=True):
         return erased_where(operation, None if has_columns else execution.chosen)
 
     def _move_mask_list(self, masks: list[Tensor], execution: Execution, fill: Any) -> list[Tensor] | None:
-        if self.fill_mask is None or isinstance(self.fill, str):
-            return super()._move_mask_list(masks, execution, fill)
+        if self.fill_mask is None:
+            return masks
         channels = len(self.fill) if isinstance(self.fill, list) else 1  # of the images
         erasing = self._erasing_of_list(masks, like_batch(masks)[:, :1].expand(-1, channels, -1, -1), execution)
         value = self.fill_mask if fill is None else fill

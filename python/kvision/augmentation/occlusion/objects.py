@@ -14,7 +14,7 @@ from kvision._ops import FLOATS, FastPath, register
 from kvision.augmentation import ranges
 from kvision.augmentation.draws import mixed_words
 from kvision.augmentation.engine import Execution, Params, check_images
-from kvision.augmentation.erase import erase_marked_list
+from kvision.augmentation.erase import erase_marked_list, fill_with_noise
 from kvision.augmentation.keys import Seed
 from kvision.augmentation.labels import masks_as_batch
 from kvision.augmentation.lists.masks import filled_masks
@@ -217,12 +217,13 @@ class MaskDropout(DropoutBase, keeps_contract=True):
         )
 
     def _operates_on(self, dtype: torch.dtype) -> bool:
-        return not isinstance(self.fill, str) and not self._is_customized()
+        return not self._is_customized() and not (isinstance(self.fill, str) and dtype == torch.float64)
 
     def _run_list(self, images: Sequence[Tensor], execution: Execution) -> list[Tensor]:
-        values = self._values(like_batch(images), {})[:, :, 0, 0]
-        dropped = (execution.found or {})["dropped"].to(images[0].device)
-        return list(erase_marked_list(images, dropped.view(torch.uint8), values))
+        marks = (execution.found or {})["dropped"].to(images[0].device).view(torch.uint8)
+        if isinstance(self.fill, str):
+            return fill_with_noise(images, marks, self._pixel_noise(execution, execution.redraw, marks.device))
+        return list(erase_marked_list(images, marks, self._values(like_batch(images), {})[:, :, 0, 0]))
 
 
 def _masks_of(context: Any) -> Any:

@@ -180,7 +180,7 @@ class GeometricAugmentationBase2D(GeometricAugmentation, RigidAffineAugmentation
         if not execution.applied or (columns is None and not is_given and not self._executes_columns(execution.shape)):
             return super()._find_matrix(execution)
         like = super()._find_matrix(execution) if columns is None else columns.drawn
-        return self._matrix_of(like, execution, self.flags)
+        return self._matrix_of(like.new_empty(1).expand(execution.shape), execution, self.flags)
 
     def compute_transformation(self, input: Tensor, params: Params, flags: dict[str, Any]) -> Tensor:
         chain = self.matrix_transforms(tuple(input.shape), flags)

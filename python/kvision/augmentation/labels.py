@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import accumulate, chain, islice
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision.augmentation.sample_rows import index_of, numbers_by
 from kvision.constants import DataKey
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 
@@ -53,9 +55,8 @@ def move_points(points: Any, move: PointMover, numbers: int = 2) -> Any:
     if isinstance(points, (list, tuple)):
         if not points:
             return points
-        padded, sizes = pad(points)
-        moved = move_points(padded, move, numbers)
-        return type(points)(m[:n] for m, n in zip(moved, sizes))
+        padded, _ = pad(points)
+        return _rows_of(points, move_points(padded, move, numbers))
     if hasattr(points, "transform_keypoints"):  # kvision.geometry.keypoints.Keypoints
         moved = points.clone()
         moved._data = move_points(points._data, move, numbers)
@@ -106,9 +107,9 @@ def move_boxes(boxes: Any, mode: str, move: BoxMover) -> tuple[Any, Tensor | Non
     if isinstance(boxes, (list, tuple)):
         if not boxes:
             return boxes, None
-        padded, sizes = pad(boxes)
+        padded, _ = pad(boxes)
         moved, fraction = move_boxes(padded, mode, move)
-        return type(boxes)(m[:n] for m, n in zip(moved, sizes)), fraction
+        return _rows_of(boxes, moved), fraction
     if hasattr(boxes, "transform_boxes"):  # kvision.geometry.boxes.Boxes
         if getattr(boxes, "normalized", False):
             raise ValueCheckError("AugmentationSequential: expected boxes in pixels, got normalized ones")
@@ -209,17 +210,20 @@ class BoxFilter(NamedTuple):
 
 
 def filter_boxes(
-    boxes: Any, mode: str, size: tuple[int, ...], rule: BoxFilter, fraction: Tensor | None = None
+    boxes: Any, mode: str, size: Sequence[Any], rule: BoxFilter, fraction: Tensor | None = None
 ) -> tuple[Any, Any]:
-    """Boxes in images of a size (H, W) by a rule, and which of them stay: bool (B, N), or a list of (N,).
+    """Boxes in images of a size (H, W), or of two (B, 1), by a rule, and which of them stay: bool (B, N), or a list of (N,).
 
     `fraction` (B, N) is the visible fraction of areas before these boxes were cut off, None for 1. Lists become shorter; in
     tensors the boxes that do not stay are 0.
     """
     if isinstance(boxes, (list, tuple)):
-        rows = [None] * len(boxes) if fraction is None else [row[: len(p)] for row, p in zip(fraction, boxes)]
-        pairs = [_filtered(part, mode, size, rule, row) for part, row in zip(boxes, rows)]
-        return type(boxes)(part[kept] for part, kept in pairs), [kept for _, kept in pairs]
+        if not boxes:
+            return boxes, []
+        padded, sizes = pad(boxes)
+        filtered, is_kept = _filtered(padded, mode, size, rule, fraction)
+        rows = [row[:n] for row, n in zip(is_kept, sizes)]
+        return leave_boxes(_rows_of(boxes, filtered), rows), rows
     if hasattr(boxes, "transform_boxes"):  # kvision.geometry.boxes.Boxes
         filtered = boxes.clone()
         filtered._data, kept = _filtered(boxes._data, "vertices", size, rule, fraction)
@@ -230,7 +234,7 @@ def filter_boxes(
 def leave_boxes(boxes: Any, kept: Any) -> Any:
     """Boxes that are kept: lists become shorter; in tensors the others are 0."""
     if isinstance(boxes, (list, tuple)):
-        return type(boxes)(part[row.to(part.device)] for part, row in zip(boxes, kept))
+        return type(boxes)(_that_stay(boxes, kept))
     return clear_boxes(boxes, kept)
 
 
@@ -262,7 +266,7 @@ def clear_boxes(boxes: Any, kept: Any) -> Any:
 
 
 def _filtered(
-    boxes: Tensor, mode: str, size: tuple[int, ...], rule: BoxFilter, fraction: Tensor | None
+    boxes: Tensor, mode: str, size: Sequence[Any], rule: BoxFilter, fraction: Tensor | None
 ) -> tuple[Tensor, Tensor]:
     values = _computed(boxes)
     corners = box_corners(values, mode)
@@ -286,10 +290,10 @@ def _filtered(
     return _as_type(torch.where(kept[axes], values, 0), boxes), kept
 
 
-def _inside(points: Tensor, size: tuple[int, ...]) -> Tensor:
+def _inside(points: Tensor, size: Sequence[Any]) -> Tensor:
     """Points moved to the nearest position inside an image, in coordinates of pixel centers."""
-    x, y = points.unbind(-1)
-    return torch.stack([x.clamp(-0.5, size[1] - 0.5), y.clamp(-0.5, size[0] - 0.5)], -1)
+    along = [x.clamp(min=-0.5).clamp(max=size[axis] - 0.5) for x, axis in zip(points.unbind(-1), (1, 0))]
+    return torch.stack(along, -1)
 
 
 def filter_labels(classes: Any, kept: Any) -> Any:
@@ -315,7 +319,10 @@ def filter_labels(classes: Any, kept: Any) -> Any:
             raise _wrong_count(f"{len(rows)} images", f"those of {len(classes)}")
         if not any(of_images):
             return classes
-        return type(classes)(_filtered_labels(part, row) for part, row in zip(classes, rows))
+        if all(isinstance(part, Tensor) and len(part) == len(row) for part, row in zip(classes, rows)):
+            return type(classes)(_that_stay(classes, rows))
+        flags = torch.cat(rows).cpu().split([len(row) for row in rows])  # which waits for their device once
+        return type(classes)(_filtered_labels(part, row) for part, row in zip(classes, flags))
     if not _is_array(classes) or classes.ndim == 0:
         return classes
     of_boxes = kept if isinstance(kept, Tensor) else _padded_rows(rows)
@@ -370,7 +377,7 @@ def filter_masks(masks: Any, kept: Any, counts: MaskCounts | None) -> Any:
         return masks
     rows = [kept] if isinstance(kept, Tensor) and kept.dim() == 1 else list(kept)
     if counts.masks == counts.boxes and [len(part) for part in masks] == [len(row) for row in rows]:
-        return type(masks)(_filtered_labels(part, row) for part, row in zip(masks, rows))
+        return type(masks)(_masks_that_stay(masks, rows))
     if counts.masks != counts.boxes and len(set(counts.masks)) > 1:
         raise ShapeError(
             f"AugmentationSequential: expected masks of {counts.boxes} instances, as there are boxes, got {counts.masks}"
@@ -408,6 +415,43 @@ def _filtered_labels(labels: Any, row: Tensor) -> Any:
     if _is_array(labels):
         return labels[row.cpu().numpy()]
     return type(labels)(label for label, stays in zip(labels, row.tolist()) if stays)
+
+
+def _flags(kept: Sequence[Tensor]) -> list[list[bool]]:
+    """Which of the boxes of each image stay, read from their device at once."""
+    flags = iter(torch.cat(list(kept)).tolist() if kept else [])
+    return [list(islice(flags, len(row))) for row in kept]
+
+
+def _that_stay(parts: Sequence[Tensor], kept: Sequence[Tensor]) -> list[Tensor]:
+    """The rows of the parts (N, ...) of images that stay: by one copy where all have one type and form."""
+    stay, flags = list(parts), _flags(kept)
+    changed = [i for i, row in enumerate(flags) if not all(row)]
+    groups = numbers_by((parts[i].dtype, parts[i].device, parts[i].shape[1:]) for i in changed)
+    for own in [[changed[n] for n in numbers] for numbers in groups.values()]:
+        together = torch.cat([parts[i] for i in own])
+        index = [n for n, stays in enumerate(chain.from_iterable(flags[i] for i in own)) if stays]
+        rows = together.index_select(0, index_of(index, together)) if index else together[:0]
+        for i, part in zip(own, rows.split([sum(flags[i]) for i in own])):
+            stay[i] = part
+    return stay
+
+
+def _masks_that_stay(masks: Sequence[Tensor], kept: Sequence[Tensor]) -> list[Tensor]:
+    """The masks (N, H, W) of instances that stay, of one type and of the size of each image, by one copy."""
+    stay, changed = list(masks), list[tuple[int, list[Tensor]]]()
+    for i, (mask, row) in enumerate(zip(masks, _flags(kept))):
+        planes = [plane for plane, stays in zip(mask, row) if stays]
+        if len(planes) < len(mask):
+            stay[i] = mask[:0]
+            if planes:
+                changed.append((i, planes))
+    if changed:
+        counts = [sum(plane.numel() for plane in planes) for _, planes in changed]
+        values = torch.cat([plane.flatten() for _, planes in changed for plane in planes]).split(counts)
+        for (i, planes), own in zip(changed, values):
+            stay[i] = own.view(len(planes), *masks[i].shape[1:])
+    return stay
 
 
 def _padded_rows(rows: Sequence[Tensor]) -> Tensor:
@@ -457,8 +501,13 @@ def _upright(vertices: Tensor) -> Tensor:
     return vertices.gather(-2, index[..., None].expand(*index.shape, 2))
 
 
+def _rows_of(parts: Any, padded: Any) -> Any:
+    """What became of parts that were padded."""
+    return type(parts)(own[: len(part)] if len(part) else part for part, own in zip(parts, padded))
+
+
 def pad(parts: Sequence[Tensor]) -> tuple[Tensor, list[int]]:
-    """Boxes, points or instances of each image, padded to the same number."""
+    """Boxes, points or instances of each image, padded with 0 to the same number."""
     check_tensors("the labels of an image", parts)
     sizes = [len(part) for part in parts]
     shapes = {tuple(part.shape[1:]): None for part in parts if len(part)}
@@ -467,11 +516,16 @@ def pad(parts: Sequence[Tensor]) -> tuple[Tensor, list[int]]:
         raise ShapeError(
             f"AugmentationSequential: expected labels of images of one size, got (N, *{first}) and (N, *{other})"
         )
-    like = next((part for part in parts if len(part)), parts[0])  # an empty one may have another type
-    padded = like.new_zeros(len(parts), max(sizes, default=0), *parts[0].shape[1:])
-    for row, part in zip(padded, parts):
-        row[: len(part)] = part
-    return padded, sizes
+    known = [part for part in parts if len(part)]  # an empty one may have another type
+    if not known:
+        return parts[0].new_zeros(len(parts), 0, *parts[0].shape[1:]), sizes
+    most, values = max(sizes), torch.cat(known)
+    if len(values) < len(parts) * most:
+        firsts = accumulate(sizes, initial=0)
+        rows = [first + i if i < n else len(values) for first, n in zip(firsts, sizes) for i in range(most)]
+        values = torch.cat([values, values.new_zeros(1, *values.shape[1:])])
+        values = values.index_select(0, index_of(rows, values))
+    return values.unflatten(0, (len(parts), most)), sizes
 
 
 def check_one_type(key: DataKey, value: Any) -> None:
@@ -563,7 +617,7 @@ def _of_kept(first: Tensor, own: Tensor) -> Tensor:
 # --- rectangles and polygons ----------------------------------------------------------------------------------------
 
 
-def is_within(points: Tensor, size: Sequence[int], margin: float = 0.5) -> Tensor:
+def is_within(points: Tensor, size: Sequence[Any], margin: float = 0.5) -> Tensor:
     """Whether points (..., 2 or 3) are in an image, or up to a margin away from the centers of its outermost pixels."""
     of_axes = [(x >= -margin) & (x <= n - 1 + margin) for x, n in zip(points.unbind(-1), reversed(size))]
     return torch.stack(of_axes).all(0)
@@ -624,13 +678,16 @@ def around_outlines(corners: Tensor, is_upright: bool, count: int, move: Callabl
     return line_corners(normals, (moved @ normals[..., None])[..., 0].amax(-1), corners)
 
 
-def clip_polygons(polygons: Tensor, size: Sequence[int]) -> tuple[Tensor, Tensor]:
+def clip_polygons(polygons: Tensor, size: Sequence[Any]) -> tuple[Tensor, Tensor]:
     """The parts (..., V + 4, 2) of convex polygons (..., V, 2) inside images of a size (H, W), and where there is one.
+
+    Sizes (B, 1) are those of polygons (B, N, V, 2).
 
     Of V vertices and the line of an edge V + 1 vertices remain at most; the first one is repeated in place of those that do not.
     """
     is_inside = torch.ones_like(polygons[..., 0, 0], dtype=torch.bool)
-    for axis, edge, sign in ((0, -0.5, 1.0), (1, -0.5, 1.0), (0, size[1] - 0.5, -1.0), (1, size[0] - 0.5, -1.0)):
+    bottom, right = (n[..., None] - 0.5 if isinstance(n, Tensor) else n - 0.5 for n in size)
+    for axis, edge, sign in ((0, -0.5, 1.0), (1, -0.5, 1.0), (0, right, -1.0), (1, bottom, -1.0)):
         depth = sign * (polygons[..., axis] - edge)
         other, after = depth.roll(-1, -1), polygons.roll(-1, -2)
         crosses = (depth >= 0) != (other >= 0)

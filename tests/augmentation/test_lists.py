@@ -140,7 +140,7 @@ def test_what_has_no_list_is_refused():
         with pytest.raises(ValueError, match="seeds of 4 samples, got 3"):
             augment(images, seed=torch.arange(3))
     labeled = A.AugmentationSequential(A.RandomHorizontalFlip(), data_keys=["input", "bbox_xyxy"])
-    with pytest.raises(ValueError, match="expected bbox_xyxy of 4 images, one of each in a list or a tensor, got 1"):
+    with pytest.raises(ValueError, match="expected bbox_xyxy of 4 images, got those of 1"):
         labeled(images, [torch.rand(1, 4)])
 
 

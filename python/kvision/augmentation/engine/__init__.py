@@ -34,6 +34,7 @@ A list of images, for which the same steps are executed:
 
     sized          what draws, matrices and results take from the size of an image
     list_plans     plans of runs on a list, whatever its sizes; list_runs execute one, list_records say what it did
+    list_moves     what the labels of a list follow together
     list_chains    containers whose children are such runs, or are chosen for each image
     list_calls     calls image by image, where there is no run; parts are the images that were one batch
     lists          what labels follow where an augmentation makes the list a batch

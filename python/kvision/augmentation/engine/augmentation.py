@@ -146,6 +146,11 @@ class AugmentationBase(ListExecutor, keeps_contract=True):
         """Whether pixels move, or masks change, as where rectangles are erased."""
         return not self.keeps_positions or type(self).transform_masks is not AugmentationBase.transform_masks
 
+    @property
+    def _leaves_labels(self) -> bool:
+        """Whether masks, boxes and points stay as they are."""
+        return not (self._moves_labels or self._is_overridden("apply_transform_mask") or self.mixes_samples)
+
     def transform_masks(self, masks: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
         """Masks (B, C, H, W) of any type, moved as the images were."""
         return self._masks_by_name(masks, execution, flags) if self._is_overridden("apply_transform_mask") else masks

@@ -17,9 +17,9 @@ from kvision.augmentation.engine.chain_executor import check_rigid
 from kvision.augmentation.engine.image_sequential import ImageSequential
 from kvision.augmentation.engine.label_record import LabelRecord, labels_back
 from kvision.augmentation.engine.label_settings import LabelSettings, MaskReading
-from kvision.augmentation.engine.list_records import ListParts
 from kvision.augmentation.engine.parts import Parts
 from kvision.augmentation.engine.record import ParamItem, Record
+from kvision.augmentation.engine.stages import Chain
 from kvision.augmentation.engine.video_sequential import VideoSequential
 from kvision.augmentation.inputs import (
     VideoLayout,
@@ -229,39 +229,31 @@ class AugmentationSequential(ImageSequential):
 
         return call
 
-    def _with_labels_of_list(self, keys: Sequence[DataKey], inputs: Sequence[Any], y: Any, parts: Any) -> list[Any]:
+    def _with_labels_of_list(
+        self, keys: Sequence[DataKey], inputs: Sequence[Any], y: Any, record: Record, moving: Any
+    ) -> list[Any]:
         if len(keys) == 1:
             return [y]
         settings, masks = self._label_settings, labels.count_masks(keys, inputs)
-        outputs, first = list(inputs), keys.index(DataKey.INPUT)
-        moved = self._moved_together(keys, outputs, parts, settings) if isinstance(parts, ListParts) else []
-        if not all(i in moved or key == DataKey.INPUT for i, key in enumerate(keys)):
+        outputs, first, parts = list(inputs), keys.index(DataKey.INPUT), record.parts
+        masks_at = [i for i, key in enumerate(keys) if key == DataKey.MASK]
+        moved = {i: moving.moved_masks(inputs[i], settings.masks) for i in masks_at}
+        moved = {i: own for i, own in moved.items() if own is not None}
+        for i, own in moved.items():
+            outputs[i] = own
+        moves = moving.moves() if len(moved) == len(masks_at) < len(keys) - 1 else None
+        if moves is not None:
+            stages, sizes = moves.stages(inputs[first][0].device)
+            record.labels = LabelRecord(settings, parts.shape, sizes, masks)
+            outputs = record.labels.move(keys, outputs, Chain(stages), masks_at)
+        elif len(moved) < len(keys) - 1:
             each = [
-                self._with_labels(keys, parts.inputs(rows, keys, outputs), call, settings, masks, moved)
+                self._with_labels(keys, parts.inputs(rows, keys, outputs), call, settings, masks, list(moved))
                 for call, rows in zip(parts.calls, parts.rows)
             ]
             outputs = parts.outputs(keys, inputs, each)
         outputs[first] = y
         return outputs
-
-    @staticmethod
-    def _moved_together(
-        keys: Sequence[DataKey], values: list[Any], parts: ListParts, settings: LabelSettings
-    ) -> list[int]:
-        """Replace labels of a list by those that the launches of a batch move: all, or some masks; gives the numbers of these."""
-        labels_at = [i for i, key in enumerate(keys) if key != DataKey.INPUT]
-        moved = {i: parts.moved_masks(values[i], settings.masks) for i in labels_at if keys[i] == DataKey.MASK}
-        done = [i for i, masks in moved.items() if masks is not None]
-        depends_on_sizes = settings.clips_each or not settings.box_filter.does_nothing
-        if len(done) == len(moved) and not depends_on_sizes:
-            others = [i for i in labels_at if i not in moved]
-            moved.update({i: parts.moved_boxes_or_points(keys[i], values[i]) for i in others})
-            if all(moved[i] is not None for i in others):
-                done = labels_at
-                parts.points = {i: moved[i] for i in others if keys[i] == DataKey.KEYPOINTS}
-        for i in done:
-            values[i] = moved[i]
-        return done
 
     @staticmethod
     def _with_labels(
@@ -365,7 +357,7 @@ class AugmentationSequential(ImageSequential):
     def _read_labels(self, read: Callable[[LabelRecord], list[Any]]) -> list[Any]:
         """What the labels of the last call say, for each input."""
         record = self._record
-        if record.parts is not None:
+        if record.parts is not None and record.labels is None:
             each = [view._read_labels(read) for view in record.parts.views(self)]
             return [record.parts.join(of_input) for of_input in zip(*each)]
         return labels_as_videos(record.videos, [] if record.labels is None else read(record.labels))

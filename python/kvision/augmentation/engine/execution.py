@@ -13,6 +13,7 @@ from kvision._dtype import compute_dtype
 from kvision.augmentation.columns import Columns
 from kvision.augmentation.keys import Keys
 from kvision.augmentation.noise import PixelNoise
+from kvision.augmentation.sample_rows import index_of
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 
 Shape = tuple[int, ...]
@@ -88,11 +89,13 @@ class Execution:
             self.matrix = matrix
 
     def of_rows(self, rows: Sequence[int]) -> Execution:
-        """The same call of some of its samples, for their parameters."""
-        columns = self.columns
+        """The same call of some of its samples, without parameters by name."""
+        columns, chosen = self.columns, self._chosen
         if columns is not None:
-            columns = columns._replace(drawn=columns.drawn[list(rows)])
-        return Execution((len(rows), *self.shape[1:]), columns, applied=self.applied)
+            columns = columns._replace(drawn=columns.drawn.index_select(0, index_of(rows, columns.drawn)))
+        if chosen is not None:
+            chosen = chosen.index_select(0, index_of(rows, chosen))
+        return Execution((len(rows), *self.shape[1:]), columns, chosen, self.applied, is_certain=self.is_certain)
 
     @property
     def chosen(self) -> Tensor | None:

@@ -9,10 +9,12 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
+from typing import Any
 
 import torch
 from torch import Tensor
 
+from kvision.augmentation.engine.lists import SizeOfEach
 from kvision.augmentation.engine.stages import Chain
 from kvision.augmentation.labels import (
     around_outlines,
@@ -36,12 +38,12 @@ class LabelMoves:
 
     Args:
         stages: the stages.
-        size: height and width of the results; depth, height and width of volumes.
+        size: height and width of the results, of a list (B, 1) of each; depth, height and width of volumes.
         clips: boxes end at the edges of the image after each stage.
     """
 
-    def __init__(self, stages: Chain, size: Sequence[int], clips: bool = False) -> None:
-        self.chain, self.size, self.clips = Chain(stages.flat()), tuple(size), clips
+    def __init__(self, stages: Chain, size: Sequence[Any], clips: bool = False) -> None:
+        self.chain, self.size, self.clips = Chain(stages.flat()), size, clips
         self.stages = self.chain.stages
         self._map: ResultMap | None = None
         self._has_maps = bool(self.chain.maps())
@@ -66,7 +68,8 @@ class LabelMoves:
         for stage in reversed(self.stages):
             moved = stage.move_points_back(moved)
             if stage is not self.stages[0] and (size := stage.source_size()) is not None:
-                visible = visible & is_within(moved, size)
+                bounds = _bounds(size)
+                visible = visible & where_chosen(bounds, is_within(moved, size), True)
         return visible
 
     def _refined(self, points: Tensor, positions: Tensor, is_exact: Tensor) -> Tensor:
@@ -126,11 +129,16 @@ class LabelMoves:
         for i, stage in enumerate(self.stages):
             polygons = stage.move_points(polygons.flatten(1, 2)).reshape(polygons.shape)
             is_last = i == len(self.stages) - 1
-            size: tuple[int, ...] | None = self.size if is_last else self.stages[i + 1].source_size()
+            size: Sequence[Any] | None = self.size if is_last else self.stages[i + 1].source_size()
             if size is not None:
-                whole = polygon_area(polygons)
-                polygons, is_inside = clip_polygons(polygons, size)
-                fraction = torch.where(is_inside, fraction * (polygon_area(polygons) / whole).nan_to_num(1.0), 0.0)
+                whole, bounds = polygon_area(polygons), _bounds(size)
+                clipped, is_inside = clip_polygons(polygons, size)
+                part = torch.where(is_inside, (polygon_area(clipped) / whole).nan_to_num(1.0), 0.0)
+                fraction = fraction * where_chosen(bounds, part, 1.0)
+                if bounds is not None:  # as many vertices in all images
+                    first = polygons[..., :1, :].expand(*polygons.shape[:-2], clipped.shape[-2] - polygons.shape[-2], 2)
+                    clipped = where_chosen(bounds, clipped, torch.cat([polygons, first], -2))
+                polygons = clipped
         return rectangle_around(polygons), fraction.clamp(max=1)
 
     # --- maps ---
@@ -172,6 +180,11 @@ class LabelMoves:
                 return None
             any_chosen = chosen if any_chosen is None else any_chosen | chosen.to(any_chosen.device)
         return any_chosen
+
+
+def _bounds(size: Any) -> Tensor | None:
+    """Which images (B,) of a list labels end at the edges of; None for all."""
+    return size.bounds if isinstance(size, SizeOfEach) else None
 
 
 def move_boxes_back(stages: Chain, corners: Tensor, is_upright: bool) -> tuple[Tensor, None]:

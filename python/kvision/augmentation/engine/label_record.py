@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from torch import Tensor
@@ -18,7 +18,8 @@ from kvision.constants import DataKey
 from kvision.core.exceptions import ShapeError
 
 _OP = "AugmentationSequential"
-Size = tuple[int, ...]
+Shape = tuple[int, ...]
+Size = Sequence[Any]  # height and width, of a list of images (B, 1) of each
 Kept = dict[int, Any]  # which boxes stay, for each input of boxes: bool (B, N), or a list of (N,)
 
 
@@ -33,7 +34,11 @@ class LabelRecord:
     """
 
     def __init__(
-        self, settings: LabelSettings, shape: Size | None, size: Size, masks: dict[int, labels.MaskCounts] | None = None
+        self,
+        settings: LabelSettings,
+        shape: Shape | None,
+        size: Size,
+        masks: dict[int, labels.MaskCounts] | None = None,
     ) -> None:
         self.settings, self.shape, self.size, self._masks = settings, shape, size, masks
         self.kept_boxes: list[Any] = []
@@ -69,13 +74,6 @@ class LabelRecord:
         for moves in self._moves.values():
             moves.forget_map()
         return moved
-
-    @classmethod
-    def of_points(cls, shape: Size | None, size: Size, stages: Chain, moved: Mapping[int, Any]) -> LabelRecord:
-        """That of key points, by their inputs, which were moved through stages by others."""
-        record = cls(LabelSettings(), shape, size)
-        record._points = {i: [(points, LabelMoves(stages, size), None)] for i, points in moved.items()}
-        return record
 
     def visible_points(self) -> list[Any]:
         """Which points of each input are in the results, and were in all before."""
@@ -213,7 +211,7 @@ class LabelRecord:
         return visible
 
 
-def moved_masks(masks: Any, stages: Chain, reading: MaskReading, images: Size | None) -> Any:
+def moved_masks(masks: Any, stages: Chain, reading: MaskReading, images: Shape | None) -> Any:
     """Masks of images of a shape after stages: a tensor, or a list of those of the instances of each image."""
     first: Any = stages.stages[0] if stages.stages else None
     if images is not None and hasattr(first, "move_mask_list"):  # of a list of images
@@ -222,7 +220,7 @@ def moved_masks(masks: Any, stages: Chain, reading: MaskReading, images: Size | 
     return labels.move_masks(masks, lambda batch: stages.move_masks(batch, reading), images)
 
 
-def labels_back(key: DataKey, value: Any, stages: Chain, size: Size, images: Size) -> Any:
+def labels_back(key: DataKey, value: Any, stages: Chain, size: Size, images: Shape) -> Any:
     """Labels of results of a size, moved back to images of a shape."""
     if key == DataKey.MASK:
         return _masks_back(value, stages, size, images[0])

@@ -13,8 +13,8 @@ from kvision.augmentation.engine.call_labels import CallLabels
 from kvision.augmentation.engine.chain_executor import ChainExecutor, checked_items
 from kvision.augmentation.engine.configuration import kept
 from kvision.augmentation.engine.list_calls import call_in_parts
-from kvision.augmentation.engine.list_chains import run_chain
-from kvision.augmentation.engine.list_records import replayed_record
+from kvision.augmentation.engine.list_chains import ChainParts, run_chain
+from kvision.augmentation.engine.list_records import ListParts, replayed_record
 from kvision.augmentation.engine.list_runs import run_list
 from kvision.augmentation.engine.parts import Parts, shapes_of_images
 from kvision.augmentation.engine.record import ParamItem, Record
@@ -78,24 +78,28 @@ class ListCaller(ChainExecutor):
         children = self._own_children() if params is None else self._children_of_call(params, context)
         self._check_batch_of(children, len(images))
         record: Callable[..., Record] = partial(replayed_record, children, context)
-        results: tuple[Any, Parts | None] | None = None
+        results: tuple[Any, ListParts | ChainParts] | None = None
         if params is not None or not self._draws_choices:
             results = run_list(images, children, context)
         if results is None:
             results, record = run_chain(self, images, params, context, generator), self._record_of_part
         if results is None:
             return None
-        y, parts = results
-        if parts is None:
+        y, moving = results
+        parts: Parts = moving
+        if params is not None:
             parts = Parts.of_params(context.op, params, [tuple(x.shape) for x in images], images, record)
-        return self._with_labels_of_list(keys, inputs, self._as_batch(y), parts), Record(parts=parts, items=params)
+        own = Record(parts=parts, items=params)
+        return self._with_labels_of_list(keys, inputs, self._as_batch(y), own, moving), own
 
     def _as_batch(self, y: Any) -> Any:
         """Results on a list of images as a batch, where the children give all of them one size."""
         return torch.stack(y) if isinstance(y, list) and gives_one_size(self) else y
 
-    def _with_labels_of_list(self, keys: Sequence[DataKey], inputs: Sequence[Any], y: Any, parts: Any) -> list[Any]:
-        """What the inputs of a call on a list become, whose images became y."""
+    def _with_labels_of_list(
+        self, keys: Sequence[DataKey], inputs: Sequence[Any], y: Any, record: Record, moving: ListParts | ChainParts
+    ) -> list[Any]:
+        """What the inputs of a call on a list become, whose images became y, by what moves all of them together."""
         return [y]
 
     def _call_of_parts(self, keys: Sequence[DataKey], inputs: Sequence[Any]) -> Callable[..., Any]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Generator, Tensor
@@ -17,7 +17,9 @@ from torch.compiler import is_compiling
 from kvision.augmentation.engine.augmentation import AugmentationBase
 from kvision.augmentation.engine.call_context import CallContext
 from kvision.augmentation.engine.execution import matrix_type
+from kvision.augmentation.engine.label_settings import LabelSettings, MaskReading
 from kvision.augmentation.engine.list_calls import refuse_list, seeds_of_list
+from kvision.augmentation.engine.list_moves import Move, Moves, joined_moves
 from kvision.augmentation.engine.list_runs import run_list
 from kvision.augmentation.engine.parts import Parts, PartsOfImages, joined, params_of_rows
 from kvision.augmentation.engine.record import Child, ParamItem, Record, SomeParamItem
@@ -27,22 +29,55 @@ from kvision.augmentation.engine.turns import Turn, seed_of
 from kvision.augmentation.warp_and_color import SAME
 
 Done = tuple[Sequence[Child], Sequence[Stage]]  # the children that an image got, and what labels have to follow
-Steps = list[tuple[Sequence[int], Any]]  # the numbers of images, and the Done of image i among these by a function
+
+
+class ListStep(NamedTuple):
+    """What some images of a list went through.
+
+    Attributes:
+        images: their numbers.
+        done: the Done of image i among these; a replay need not say it.
+        moving: has `moves` and `moved_masks` of these; None where labels follow image by image.
+    """
+
+    images: Sequence[int]
+    done: Callable[[int], Done]
+    moving: Any
 
 
 class ChainParts(PartsOfImages):
     """A call of a container on a list."""
 
-    def __init__(self, op: str, images: Sequence[Tensor], results: Sequence[Tensor], steps: Steps) -> None:
+    def __init__(self, op: str, images: Sequence[Tensor], results: Sequence[Tensor], steps: Sequence[ListStep]) -> None:
         super().__init__(op, images)
         self._steps = steps
         self._sizes = [tuple(y.shape[-2:]) for y in results]
         self._identity = matrix_type(results[0])
 
+    def moves(self) -> Moves | None:
+        """As those of :class:`ListParts`."""
+        if any(step.moving is None for step in self._steps):
+            return None
+        sides = [n for shape in self._shapes for n in shape[-2:]]
+        return joined_moves(sides, ((step.images, step.moving.moves()) for step in self._steps))
+
+    def moved_masks(self, masks: Any, reading: MaskReading) -> Sequence[Tensor] | None:
+        """As those of :class:`ListParts`."""
+        if any(step.moving is None for step in self._steps) or len(masks) != self.count:
+            return None
+        moved = list(masks)
+        for images, _, moving in self._steps:
+            own = moving.moved_masks([moved[i] for i in images], reading)
+            if own is None:
+                return None
+            for i, mask in zip(images, own):
+                moved[i] = mask
+        return moved
+
     def params(self, read: Callable[[Any], Any]) -> list[Any]:
         """The parameters of children, as those of a batch: of each turn those of the images that it has."""
         items: list[Any] = []
-        for images, done in self._steps:
+        for images, done, _ in self._steps:
             of_child: dict[str, list[tuple[int, Child]]] = {}
             for i, sample in enumerate(images):
                 for child in done(i)[0]:
@@ -60,7 +95,7 @@ class ChainParts(PartsOfImages):
     def _record(self, sample: int) -> Record:
         children: list[Child] = []
         stages: list[Stage] = []
-        for images, done in self._steps:
+        for images, done, _ in self._steps:
             if sample in images:
                 own, more = done(images.index(sample))
                 children += own
@@ -72,16 +107,16 @@ class ChainParts(PartsOfImages):
 
 def run_chain(
     module: Any, images: list[Tensor], params: Any, context: CallContext, generator: Generator | None
-) -> tuple[Any, ChainParts | None] | None:
-    """The results of a container on a list, a list or a batch, and its parts, None of a replay; None where others call it."""
+) -> tuple[Any, ChainParts] | None:
+    """The results of a container on a list, a list or a batch, and its parts; None where others call it."""
     if not _runs(module, images, context):
         return None
-    if params is not None:
-        return _run_container(module, images, params, context)[0], None
-    modules = list(module.modules())
-    refuse_list(context.op, modules)
-    seeds = seeds_of_list(context.op, modules, len(images), context.seed, generator or module.generator)
-    y, steps = _run_container(module, images, None, context._replace(seed=seeds, generator=None))
+    if params is None:
+        modules = list(module.modules())
+        refuse_list(context.op, modules)
+        seeds = seeds_of_list(context.op, modules, len(images), context.seed, generator or module.generator)
+        context = context._replace(seed=seeds, generator=None)
+    y, steps = _run_container(module, images, params, context)
     return y, ChainParts(context.op, images, y, steps)
 
 
@@ -119,20 +154,20 @@ def _takes_whole_lists(module: Any, context: CallContext) -> bool:
 # --- execution ------------------------------------------------------------------------------------------------------
 
 
-def _run_container(module: Any, images: list[Tensor], params: Any, context: CallContext) -> tuple[Any, Steps]:
+def _run_container(module: Any, images: list[Tensor], params: Any, context: CallContext) -> tuple[Any, list[ListStep]]:
     """The children of a container on images, whose seeds the context has, or with given parameters."""
     in_turns = module._in_turns(images, params, context)
     if in_turns is None:
         return _run_children(images, module._children_of_call(params, context), context, context.position)
     turns, own = in_turns
-    results, steps = list(images), Steps()
+    results, steps = list(images), list[ListStep]()
     for turn in turns:
         if turn.samples:
             steps += _run_turn(results, turn, own)
     return results, steps
 
 
-def _run_turn(results: list[Tensor], turn: Turn, context: CallContext) -> Steps:
+def _run_turn(results: list[Tensor], turn: Turn, context: CallContext) -> list[ListStep]:
     """Run the children of a turn on its images among `results`, whose places the new ones take."""
     samples, owners = list(turn.samples), [-1] * len(turn.samples)
     own = context._replace(seed=seed_of(context.seed, samples, len(results)))
@@ -145,7 +180,7 @@ def _run_turn(results: list[Tensor], turn: Turn, context: CallContext) -> Steps:
     y, steps = _run_children([results[i] for i in samples], children, own, turn.position)
     for i, result in zip(samples, y):
         results[i] = result
-    return [([samples[i] for i in images], _of_turn(done, owners)) for images, done in steps]
+    return [ListStep([samples[i] for i in images], _of_turn(done, owners), moving) for images, done, moving in steps]
 
 
 def _of_turn(done: Any, owners: Sequence[int]) -> Callable[[int], Done]:
@@ -162,9 +197,9 @@ def _of_turn(done: Any, owners: Sequence[int]) -> Callable[[int], Done]:
 
 def _run_children(
     images: list[Tensor], children: Sequence[Child], context: CallContext, position: int
-) -> tuple[Any, Steps]:
-    """Children one after the other, each run and each container inside by itself. A replay need not say what was done."""
-    everything, steps = range(len(images)), Steps()
+) -> tuple[Any, list[ListStep]]:
+    """Children one after the other, each run and each container inside by itself."""
+    everything, steps = range(len(images)), list[ListStep]()
     y: Any = images
     for run, is_joined in runs_of(children, context.plans):
         images = y if isinstance(y, list) else list(y)
@@ -172,7 +207,7 @@ def _run_children(
         module: Any = run[0].module
         if done is not None:
             y, parts = done
-            steps.append((everything, None if parts is None else parts.done))
+            steps.append(ListStep(everything, parts.done, parts))
         elif not is_joined and (_is_plain(module) or _takes_whole_lists(module, context)):
             inside, params = module._inside(inside_child(context, position)), run[0].params
             parts_inside: Parts
@@ -183,12 +218,48 @@ def _run_children(
                 y, parts_inside = module._execute_list(images, params, inside)
             if params is None:
                 module._keep(Record(parts=parts_inside))
-            steps.append((everything, _of_inside(run[0], parts_inside)))
+            moving = _Inside(parts_inside, module._label_settings) if isinstance(parts_inside, ChainParts) else None
+            steps.append(ListStep(everything, _of_inside(run[0], parts_inside), moving))
         else:
             y, each = _run_each(images, run, context, position)
-            steps.append((everything, each.__getitem__))
+            steps.append(ListStep(everything, each.__getitem__, _moving_of_each(images, run, each)))
         position += len(run)
     return y, steps
+
+
+class _Inside(NamedTuple):
+    """What labels follow in a container that is a child."""
+
+    parts: ChainParts
+    settings: LabelSettings | None
+
+    def moves(self) -> Moves | None:
+        filters = self.settings is not None and not self.settings.box_filter.does_nothing
+        return None if filters else self.parts.moves()
+
+    def moved_masks(self, masks: Any, reading: MaskReading) -> Sequence[Tensor] | None:
+        return self.parts.moved_masks(masks, reading.inside(self.settings))
+
+
+class _Still(NamedTuple):
+    """What labels follow where augmentations leave them: sides of images, and those that went through a step."""
+
+    sides: Sequence[int]
+    samples: Sequence[int]
+
+    def moves(self) -> Moves:
+        return Moves([Move(None, self.sides, self.samples)] if self.samples else [], self.sides)
+
+    def moved_masks(self, masks: Any, reading: MaskReading) -> Any:
+        return masks
+
+
+def _moving_of_each(images: Sequence[Tensor], children: Sequence[Child], each: Sequence[Done]) -> _Still | None:
+    """What labels follow of children that ran on each image alone, if these leave them; None for others."""
+    modules: list[Any] = [child.module for child in children]
+    if not all(isinstance(m, AugmentationBase) and m._leaves_labels for m in modules):
+        return None
+    return _Still([n for x in images for n in x.shape[-2:]], [i for i, (_, stages) in enumerate(each) if stages])
 
 
 def _of_inside(child: Child, parts: Parts) -> Callable[[int], Done]:

@@ -15,6 +15,7 @@ from torch import Tensor
 from torch.compiler import is_compiling
 
 from kvision._constants import on_device
+from kvision._dtype import compute_dtype
 from kvision.augmentation.columns import DrawPlan
 from kvision.augmentation.drawn_pass import DrawnListPass, DrawnPass, SizedDraws
 from kvision.augmentation.draws import HEADER, MAX_DRAWS, MAX_NUMBERS, SIZED, Draw, Request, make_plan
@@ -46,6 +47,7 @@ class ListPlan(NamedTuple):
     begins_with_batch: bool  # the first augmentation makes one
     reads_executions: bool  # what each augmentation has drawn is read in the call
     identity: SizedNumbers | None = None  # columns of images with another child, where they depend on sizes
+    numbers_of_labels: SizedNumbers | NumbersOfEach | None = None  # inputs of matrices that labels alone read
 
     def keys(self, images: Sequence[Tensor], context: CallContext) -> Keys | None:
         """What the columns of a call are drawn from."""
@@ -176,7 +178,8 @@ def _make_plan(
             drawn = run.drawn if _draws_windows(sized) else None
     reads_executions = run.derives or len(run.steps) > steps or any(isinstance(step, Alone) for step in run.steps)
     flags = begins_with_batch, begins_with_batch or reads_executions
-    return ListPlan(run, sized, draws, places, numbers, drawn, sized_draws, *flags, identity)
+    of_labels = None if has_inputs else sized.numbers(has_draws=False)
+    return ListPlan(run, sized, draws, places, numbers, drawn, sized_draws, *flags, identity, of_labels)
 
 
 def _draws_windows(sized: Sized) -> bool:
@@ -221,6 +224,14 @@ def _linear(numbers: SizedNumbers | None) -> Tensor:
 
 
 _NO_DRAWS = DrawPlan(0, 1, [0], [], [], None)
+
+
+def with_numbers(
+    columns: Tensor | None, numbers: SizedNumbers | NumbersOfEach, sides: Sequence[int], like: Tensor
+) -> Tensor:
+    """Columns of images like a batch, and behind them numbers of the sizes of each."""
+    own = on_device(numbers.of_sides(sides).to(compute_dtype(like)), like.device)
+    return own if columns is None else torch.cat([columns.to(own), own], 1)
 
 
 # --- replays --------------------------------------------------------------------------------------------------------

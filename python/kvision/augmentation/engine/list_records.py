@@ -7,22 +7,19 @@ from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
-import torch
 from torch import Tensor
 from torch.compiler import is_compiling
 
 from kvision.augmentation.engine.call_context import CallContext
 from kvision.augmentation.engine.execution import Shape, matrix_type
-from kvision.augmentation.engine.label_record import LabelRecord
 from kvision.augmentation.engine.label_settings import MaskReading
-from kvision.augmentation.engine.list_boxes import are_boxes_or_points, follow_matrices, move_each
-from kvision.augmentation.engine.parts import Parts, of_rows
+from kvision.augmentation.engine.list_moves import Moves, joined_moves, moves_of_run, with_sides
+from kvision.augmentation.engine.parts import Parts
 from kvision.augmentation.engine.passes import Alone, Joined, Running, plan_steps
 from kvision.augmentation.engine.record import Child, Record
 from kvision.augmentation.engine.runs import replayed
 from kvision.augmentation.engine.stages import Chain, Stage
 from kvision.augmentation.lists.masks import checked_masks, move_masks
-from kvision.constants import DataKey
 
 
 class ListParts(Parts):
@@ -35,7 +32,6 @@ class ListParts(Parts):
         self, op: str, count: int, runs: Sequence[tuple[Sequence[int], Any]], child: int | None = None
     ) -> None:
         self.op, self.count, self._runs, self._child = op, count, runs, child
-        self.points: dict[int, Any] = {}  # those that were moved together, by their inputs
 
     @cached_property
     def rows(self) -> list[list[int]]:  # type: ignore[override]
@@ -45,11 +41,7 @@ class ListParts(Parts):
     def calls(self) -> list[Any]:
         each = [(run, rows) for _, run in self._runs for rows in run.rows()]
         if self._child is None:
-            records = [run.record(rows) for run, rows in each]
-            for record, rows in zip(records, self.rows if self.points else ()):
-                points = {i: of_rows(self.op, DataKey.KEYPOINTS, x, rows, self.count) for i, x in self.points.items()}
-                record.labels = LabelRecord.of_points(record.shape, record.size, record.stages, points)
-            return records
+            return [run.record(rows) for run, rows in each]
         return [run.executions(rows)[0][self._child] for run, rows in each]
 
     def params(self, read: Callable[[Any], Any]) -> Any:
@@ -72,13 +64,21 @@ class ListParts(Parts):
         record = run.record([samples.index(i)])
         return record.children, record.stages.stages
 
-    def moved_masks(self, masks: Any, reading: MaskReading) -> list[Tensor] | None:
-        """Masks (N, h, w) of each image by the launches of a batch; None where they follow the calls of the parts."""
+    @property
+    def sides(self) -> list[int]:
+        """Height and width of each image."""
         sides = [0] * (2 * self.count)
         for samples, run in self._runs:
-            for place, i in enumerate(samples):
-                sides[2 * i : 2 * i + 2] = run.sides[2 * place : 2 * place + 2]
-        given = checked_masks(masks, sides)
+            sides = with_sides(sides, samples, run.sides)
+        return sides
+
+    def moves(self) -> Moves | None:
+        """What boxes and points follow; None where they follow the calls of the parts."""
+        return joined_moves(self.sides, [(samples, moves_of_run(run)) for samples, run in self._runs])
+
+    def moved_masks(self, masks: Any, reading: MaskReading) -> list[Tensor] | None:
+        """Masks (N, h, w) of each image by the launches of a batch; None where they follow the calls of the parts."""
+        given = checked_masks(masks, self.sides)
         if given is None:
             return None
         moved = list(given)
@@ -89,20 +89,6 @@ class ListParts(Parts):
             for i, mask in zip(samples, own):
                 moved[i] = mask
         return moved
-
-    def moved_boxes_or_points(self, key: DataKey, values: Any) -> Any:
-        """Boxes or key points of each image, a list or a tensor, by the launches of a batch; None where others move them."""
-        if key == DataKey.CLASS:
-            return values
-        if not are_boxes_or_points(key, values) or len(values) != self.count:
-            return None
-        if not all(follow_matrices(run) for _, run in self._runs):
-            return None
-        moved = list(values)
-        for samples, run in self._runs:
-            for i, own in zip(samples, move_each(key, [moved[i] for i in samples], run)):
-                moved[i] = own
-        return torch.stack(moved) if isinstance(values, Tensor) else moved
 
     def of_child(self, number: int) -> ListParts:
         """The calls of an augmentation of the runs."""

@@ -19,13 +19,13 @@ from torch import Tensor
 from torch.compiler import is_compiling
 
 from kvision._constants import on_device
-from kvision._dtype import as_dtype, compute_dtype
 from kvision.augmentation.columns import Columns
 from kvision.augmentation.draws import are_chosen_batches
 from kvision.augmentation.engine.call_context import CallContext
 from kvision.augmentation.engine.drawing import decides, may_apply
 from kvision.augmentation.engine.execution import Execution, ListExecution, Params
 from kvision.augmentation.engine.list_calls import refuse_list, seeds_of_list
+from kvision.augmentation.engine.list_moves import LabelStep, label_steps
 from kvision.augmentation.engine.list_plans import (
     ListPlan,
     ReplayPlan,
@@ -33,10 +33,11 @@ from kvision.augmentation.engine.list_plans import (
     kept_plan,
     kept_replay,
     takes_given,
+    with_numbers,
 )
 from kvision.augmentation.engine.list_records import ListParts, record_of_run
 from kvision.augmentation.engine.parts import Parts, params_of_rows
-from kvision.augmentation.engine.passes import Joined, Running, plan_steps
+from kvision.augmentation.engine.passes import Running, plan_steps
 from kvision.augmentation.engine.record import Child, Record
 from kvision.augmentation.engine.runs import execute, keep_executions, replayed, run_steps, runs_of, with_derived
 from kvision.augmentation.engine.sized import SIZES, ImagesOfList, find_sized
@@ -44,7 +45,7 @@ from kvision.augmentation.engine.stages import Stage, Warp
 from kvision.augmentation.keys import Keys
 from kvision.augmentation.noise import PixelNoise
 from kvision.augmentation.sample_rows import numbers_by, read_rows
-from kvision.augmentation.transforms import Transform, transform_matrix
+from kvision.augmentation.transforms import Transform
 from kvision.augmentation.warp_and_color import SAME
 from kvision.geometry.transform.lists.arguments import have_one_size, like_batch, row, some_of
 from kvision.geometry.transform.lists.arguments import sizes as sides_of
@@ -54,9 +55,7 @@ class ListRun(ImagesOfList):
     """A run on a list: it draws, and has what it drew for the calls of its parts."""
 
     found: Tensor | None = None  # (B, 1, H, W) of the largest sides, what masks gave
-    _label_steps: list[tuple[int, Joined | None, Tensor | None]] | None = (
-        None  # no cached property, whose lock has no graph before Python 3.12
-    )
+    _label_steps: list[LabelStep] | None = None  # no cached property, whose lock has no graph before Python 3.12
 
     def __init__(self, images: list[Tensor], children: Sequence[Child], context: CallContext, plan: ListPlan) -> None:
         self.context, self.plan = context, plan
@@ -110,32 +109,23 @@ class ListRun(ImagesOfList):
         return torch.empty(0, dtype=dtype, device=device)
 
     @property
-    def label_steps(self) -> list[tuple[int, Joined | None, Tensor | None]]:
-        """What labels follow in their order: passes that move pixels with matrices (B, 3, 3), and single augmentations.
-
-        Each with the number of its first augmentation.
-        """
+    def label_steps(self) -> list[LabelStep]:
+        """What labels follow, in their order."""
         if self._label_steps is None:
-            like = torch.empty(self.shape[0], 0, dtype=self._type[0], device=self._type[1])
-            columns = as_dtype(like if self.columns is None else self.columns, compute_dtype(like))
-            steps: list[tuple[int, Joined | None, Tensor | None]] = []
-            moving = [step for step in self.plan.run.steps if isinstance(step, Joined) and step.geometric]
-            for number, (module, call) in enumerate(zip(self.modules, self.plan.run.calls)):
-                own = [step for step in moving if number in step.geometric]
-                if own and own[0].geometric[0] == number:
-                    steps.append((number, own[0], transform_matrix(columns, own[0].chain)))
-                elif not own and call.applies and module._moves_labels:
-                    steps.append((number, None, None))
-            self._label_steps = steps
+            run, like = self.plan.run, torch.empty(self.shape[0], 0, dtype=self._type[0], device=self.device)
+            calls, columns = [(call.applies, call.shape) for call in run.calls], self.columns
+            if self.plan.numbers_of_labels is not None:
+                columns = with_numbers(columns, self.plan.numbers_of_labels, self.sides, like)
+            self._label_steps = label_steps(self.modules, calls, run.steps, columns, self, like)
         return self._label_steps
 
-    def execution(self, number: int) -> Execution:
-        """What an augmentation did to all images, whatever their size."""
+    def execution(self, number: int, rows: Sequence[int] | None = None) -> Execution:
+        """What an augmentation did to all images, or to some of them, whatever their size."""
         execution = self.plan.run.executions(self.like, self.columns, self.keys)[number]
         execution.shape = (self.shape[0], *execution.shape[1:])
         if self.found is not None:
             execution.found = self.modules[number]._found(self.found)
-        return execution
+        return execution if rows is None else execution.of_rows(rows)
 
     @cached_property
     def _has_noise(self) -> bool:
@@ -246,10 +236,8 @@ def _plan_of_first(
     raise AssertionError("expected an augmentation that makes a list a batch")
 
 
-def run_list(
-    images: list[Tensor], children: Sequence[Child], context: CallContext
-) -> tuple[Any, ListParts | None] | None:
-    """The results of a run, a list or a batch, and its parts, None of a replay; None where others run or replay it."""
+def run_list(images: list[Tensor], children: Sequence[Child], context: CallContext) -> tuple[Any, ListParts] | None:
+    """The results of a run, a list or a batch, and its parts; None where others run or replay it."""
     if not _is_run(images, children, context):
         return None
     modules: list[Any] = [child.module for child in children]
@@ -290,9 +278,9 @@ def run_list(
         for samples, run in runs:
             for i, result in zip(samples, run.run(some_of(images, samples))[0]):
                 y[i] = result
-    if children[0].params is not None:
-        return y, None
     parts = ListParts(context.op, count, runs)
+    if children[0].params is not None:
+        return y, parts
     executions = [ListExecution(parts.of_child(i)) for i in range(len(modules))]
     if len(modules) == 1 and stages and isinstance(stages[0], Warp):
         executions[0].matrix = stages[0].matrix
@@ -377,13 +365,35 @@ class ListReplay:
                 if execution.columns is not None:
                     execution.columns = execution.columns._replace(drawn=columns)
         if plan.numbers is not None:
-            own = on_device(plan.numbers.of_sides(of_list.sides).to(compute_dtype(like)), like.device)
             width = 0 if columns is None else columns.shape[1]
-            columns = own if columns is None else torch.cat([columns.to(own), own], 1)
+            columns = with_numbers(columns, plan.numbers, of_list.sides, like)
             spans = [None if execution.columns is None else execution.columns.span for execution in executions]
             chains = plan.sized.bound(modules, spans, width)
         self.steps = plan_steps(modules, executions, context.once, images[0].dtype, context.output, chains)
         self.running = Running(modules, executions, columns, context.has_labels, of_list=of_list)
+        self.modules, self.sides, self._like = modules, of_list.sides, like.new_empty(len(images), 0)
+
+    @property
+    def device(self) -> torch.device:
+        """That of the images."""
+        return self._like.device
+
+    @property
+    def label_steps(self) -> list[LabelStep]:
+        """As those of :class:`ListRun`."""
+        running = self.running
+        calls = [(execution.applied, execution.shape) for execution in running.executions]
+        assert running.of_list is not None
+        return label_steps(self.modules, calls, self.steps, running.columns, running.of_list, self._like)
+
+    def execution(self, number: int, rows: Sequence[int] | None = None) -> Execution:
+        """As that of :class:`ListRun`."""
+        execution = self.running.executions[number]
+        if rows is None:
+            return execution
+        own = execution.of_rows(rows)
+        own.params = params_of_rows(execution.params, rows, execution.shape[0])
+        return own
 
     def run(self, images: list[Tensor]) -> tuple[Any, list[Stage], Sequence[Execution]]:
         """As that of :class:`ListRun`."""

@@ -1,4 +1,4 @@
-"""What labels and the inverse follow where one launch makes a list of images a batch."""
+"""What labels and the inverse follow on a list of images, and where one launch makes it a batch."""
 
 from __future__ import annotations
 
@@ -9,16 +9,56 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from kvision._constants import on_device
 from kvision.augmentation import labels
 from kvision.augmentation.engine.label_settings import MaskReading
-from kvision.augmentation.engine.stages import Warp
+from kvision.augmentation.engine.stages import ByMatrix, Stage, Warp
 from kvision.augmentation.maps import exact, warp_each
 from kvision.core.exceptions import ShapeError
 
 
+class SizeOfEach(Sequence[Tensor]):
+    """Heights and widths (B, 1) of images, on their device when they are asked for."""
+
+    def __init__(self, sides: Sequence[int], device: torch.device, samples: Sequence[bool] | None = None) -> None:
+        self._sides, self._device, self._samples = sides, device, samples
+        self._of_axes: Tensor | None = None
+
+    def __len__(self) -> int:
+        return 2
+
+    def __getitem__(self, axis: Any) -> Any:
+        if self._of_axes is None:
+            of_axes = torch.tensor(self._sides, dtype=torch.float32, device="cpu").view(-1, 2).T[..., None]
+            self._of_axes = on_device(of_axes, self._device)
+        return self._of_axes[axis]
+
+    @property
+    def bounds(self) -> Tensor | None:
+        """(B,) bool, the images at whose edges labels end, those that went through a step before; None for all."""
+        if self._samples is None:
+            return None
+        return on_device(torch.tensor(self._samples, device="cpu"), self._device)
+
+
+@dataclass
+class OnList(Stage):
+    """A step on the images of a list, which had a size each before it, that moves no pixels."""
+
+    before: SizeOfEach
+
+    def source_size(self) -> Any:
+        return self.before
+
+
+@dataclass
+class WarpOfList(ByMatrix, OnList):
+    """Images of a list moved by matrices."""
+
+
 @dataclass
 class ListWarp(Warp):
-    """The warp of a list."""
+    """The warp by which a list becomes a batch."""
 
     source: Any  # has `sides`, height and width of each image
 

@@ -204,10 +204,15 @@ class Sized:
 
     def sizes_after(self, numbers: Sequence[int], images: Sequence[Tensor]) -> list[int]:
         """Height and width of each image behind augmentations by their numbers."""
+        return self.sides_after(numbers, [n for x in images for n in x.shape[-2:]])
+
+    def sides_after(self, numbers: Sequence[int], sides: Sequence[int]) -> list[int]:
+        """The same for height and width of each image."""
+        sizes = zip(sides[::2], sides[1::2])
         if is_compiling():
-            return [n for x in images for n in self._size_after(numbers, x.shape[-2:])]
+            return [n for size in sizes for n in self._size_after(numbers, size)]
         known = self._sizes_after.setdefault(tuple(numbers), lru_cache(_KNOWN)(partial(self._size_after, numbers)))
-        return [n for x in images for n in known(x.shape[-2:])]
+        return [n for size in sizes for n in known(size)]
 
     def _size_after(self, numbers: Sequence[int], size: Size) -> Size:
         shape: Shape = (*self.reading.shape, *size)

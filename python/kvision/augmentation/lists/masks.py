@@ -9,9 +9,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from kvision._constants import on_device
 from kvision._dtype import as_dtype, compute_dtype
 from kvision.augmentation.maps import exact, warp_each
+from kvision.augmentation.sample_rows import index_of
 from kvision.geometry.transform.lists.arguments import sizes
 
 # What a kernel that copies values takes masks of other types for; those of uint8 and of floating point are themselves.
@@ -55,18 +55,18 @@ def warped_masks(masks: list[Tensor], matrix: Tensor, size: Sequence[int], resam
 
 def move_masks(masks: list[Tensor], run: Any, reading: Any) -> list[Tensor] | None:
     """Masks (N, H, W) after a run on a list, as containers read them; None where the calls of parts move them."""
-    if not run.label_steps:
+    steps = [step for step in run.label_steps if run.modules[step.numbers[0]]._moves_labels]
+    if not steps:
         return masks
     counts = [len(m) for m in masks]
     if len({*counts}) == 1 and counts[0]:
-        return _moved(masks, None, run, reading)
-    if any(step is None for _, step, _ in run.label_steps):
-        return None
+        return _moved(masks, None, run, steps, reading)
+    if any(step.matrix is None and run.modules[step.numbers[0]].needs_masks for step in steps):
+        return None  # which has marked the pixels of images
     # Each instance is an image by itself, and one of zeros stands for none.
     none, taken = masks[0].new_zeros(1, 1, 1), [max(n, 1) for n in counts]
     planes = [plane for m in masks for plane in (m[:, None] if len(m) else [none.expand(1, *m.shape[1:])])]
-    rows = torch.tensor([b for b, n in enumerate(taken) for _ in range(n)], device="cpu")
-    moved = _moved(planes, on_device(rows, run.device), run, reading)
+    moved = _moved(planes, [b for b, n in enumerate(taken) for _ in range(n)], run, steps, reading)
     if moved is None:
         return None
     sides = [moved[end - n].shape[1:] for n, end in zip(taken, accumulate(taken))]
@@ -74,25 +74,26 @@ def move_masks(masks: list[Tensor], run: Any, reading: Any) -> list[Tensor] | No
     return [own.view(-1, *size)[:n] for own, n, size in zip(values, counts, sides)]
 
 
-def _moved(masks: list[Tensor], owners: Tensor | None, run: Any, reading: Any) -> list[Tensor] | None:
+def _moved(
+    masks: list[Tensor], owners: Sequence[int] | None, run: Any, steps: Sequence[Any], reading: Any
+) -> list[Tensor] | None:
     """The same of masks of one N: those of all images, or of the images whose numbers are `owners`."""
-    modules, plan = run.modules, run.plan
-    if plan.sized.own < len(modules) or any(m._is_overridden("apply_transform_mask") for m in modules):
+    if any(m._is_overridden("apply_transform_mask") for m in run.modules):
         return None
-    for number, step, matrix in run.label_steps:
-        if step is None:
-            moved = modules[number]._move_mask_list(masks, run.execution(number), reading.fill)
+    for numbers, matrix, resampling, _, size in steps:
+        module = run.modules[numbers[0]]
+        if matrix is None:
+            moved = module._move_mask_list(masks, run.execution(numbers[0], owners), reading.fill)
             if moved is None:
                 return None
             masks = moved
             continue
-        numbers, resampling = step.geometric, step.resampling
-        if len(numbers) == 1:  # which reads them by its own rule
-            module = modules[numbers[0]]
+        if resampling is None:  # of one augmentation, which reads them by its own rule
             if not getattr(module, "_warps_masks", False):
                 return None
             resampling = module.resampling(module.flags)
-        size = plan.sized.sizes_after(numbers, masks) if plan.sized.changes(numbers) else sizes(masks)
-        matrix = matrix if owners is None else matrix.index_select(0, owners)
+        if owners is not None:
+            matrix = matrix.index_select(0, index_of(owners, matrix))
+            size = [n for b in owners for n in size[2 * b : 2 * b + 2]]
         masks = warped_masks(masks, matrix, size, resampling.for_labels(reading.mode, reading.fill))
     return masks

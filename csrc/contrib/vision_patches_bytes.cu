@@ -7,7 +7,8 @@
 //                           levels (16 x 8) times a diagonal of the factor of the channel, plus its offset
 //   patches                 shared memory, in the order of the result; then copied by vectors
 //
-// A thread's result of a product is its operand of the next one as it is. Pairs of bytes, widened to words, are pairs
+// One more warp finds the weights of the rows of the next tile. A thread's result of a product is its operand of the
+// next one as it is: nothing between pixels and patches leaves registers. Pairs of bytes, widened to words, are pairs
 // of subnormal floats in 2^-24, as are levels: a sum in that unit is rounded to a level by its conversion to 16 bits.
 // Weights have 11 bits and add up to 1; what their rounding leaves is given to one of the smallest.
 #include "contrib/vision_patches_bytes.cuh"
@@ -15,11 +16,10 @@
 namespace kv::contrib::cuda {
 namespace {
 
-constexpr int kColumns = 128, kRows = 32;  // of a tile, at most and about; one patch may be higher
-constexpr int kThreads = 2 * kColumns;     // at most: 32 for 16 columns
-constexpr int kMaxRows = 128;              // of a tile
-constexpr int kStrips = 24;                // of each multiprocessor, about
-constexpr int64_t kShared = 110000;        // bytes of a block, at most
+constexpr int kColumns = 112, kRows = 32;    // of a tile, at most
+constexpr int kThreads = 2 * kColumns + 32;  // at most: 32 for 16 columns, and for the weights of rows
+constexpr int kPrologue = 2;                 // tiles that would take as long as what is done once a strip
+constexpr int64_t kShared = 110000;          // bytes of a block, at most
 
 // What all blocks of a launch share. Parts of shared memory begin at bytes.
 struct ByteTiles {
@@ -30,9 +30,7 @@ struct ByteTiles {
   uint32_t per_plane;  // 2^32 over the vectors of a plane of a patch, rounded up
   int steps;           // of 16 columns of the image that 16 of the result read
   int chunks;          // of the image that a tile reads, at most
-  int chunks_y;        // that a chunk of the result reads, at most
-  int y_bytes;         // of the weights of the rows of a tile
-  int levels, x_weights, patches;
+  int x_weights, patches;
   int bytes;
 };
 
@@ -59,22 +57,24 @@ __device__ __forceinline__ void copy_patches(unsigned char const* from, unsigned
   }
 }
 
-// How levels become numbers of patches: the bits of two floats that add up to the factor, twice each, and the offset.
+// How levels become numbers of patches: the bits of two floats that add up to the factor of what they lack to 255,
+// twice each, and the number of 255.
 struct alignas(16) Normalization {
-  float4 offset;
+  float4 most;
   uint32_t high, low;
 };
 
 // What shared memory begins with, before the weights of the rows of two tiles.
 struct Shared {
   Normalization of_channels[kMaxPatchChannels];
-  Chunks of_chunks[2][kMaxRows / kChunk];
-  int chunks[2], read_rows[2];
-  uint32_t row_at[kMaxRows];  // addresses of the rows of a tile
+  TileRows of_tiles[2];
 };
 
-template <class U, int Steps, bool Planes>
-__global__ void __launch_bounds__(kThreads, Steps == 2 && Planes ? 3 : 2)
+constexpr int blocks_at_once(int steps, bool planes) { return steps == 2 && planes ? 3 : 2; }
+
+// `Chunks`: of a tile, or 0 for any number.
+template <class U, int Steps, int Chunks, bool Planes>
+__global__ void __launch_bounds__(kThreads, blocks_at_once(Steps, Planes))
     make_patches_of_bytes(__grid_constant__ VisionPatches<uint8_t> const p, __grid_constant__ Table const table,
                           __grid_constant__ ByteTiles const tiles) {
   extern __shared__ __align__(16) unsigned char memory[];
@@ -100,11 +100,13 @@ __global__ void __launch_bounds__(kThreads, Steps == 2 && Planes ? 3 : 2)
 
   // Where columns and rows are in the patches. Those after the last one are as it is, so that all are stored.
   int const row_elements = p.repeats ? size : size * channels, tile_rows = tiles.down * size;
-  for (int r = thread; r < kMaxRows; r += int(blockDim.x)) {
-    int const y = min(r, tile_rows - 1), i = y / size;
-    shared.row_at[r] =
-        shared_address(memory + tiles.patches) +
-        kSize * ((i / group * across * group + i % group * group) * elements + (y - i * size) * row_elements);
+  uint32_t row_at[4];  // of rows lane / 4 + 8 n
+#pragma unroll
+  for (int n = 0; n < 4; ++n) {
+    int const y = min(lane / 4 + 8 * n, tile_rows - 1), i = y / size;
+    row_at[n] =
+        opaque(shared_address(memory + tiles.patches) +
+               kSize * ((i / group * across * group + i % group * group) * elements + (y - i * size) * row_elements));
   }
   bool const by_pairs = p.repeats && size % 2 == 0, has_columns = x0 < columns;
   auto const column_of_tile = [&](int x) { return min(x, by_pairs ? columns - 2 + x % 2 : columns - 1); };
@@ -116,11 +118,11 @@ __global__ void __launch_bounds__(kThreads, Steps == 2 && Planes ? 3 : 2)
         opaque(kSize * ((j / group * group * group + j % group) * elements + (p.repeats ? column : column * channels)));
   }
   if (thread < channels) {
-    float const factor = p.scale[thread] * 512;  // of levels in 1 / 512
+    float const factor = -512 * p.scale[thread];  // of levels in 1 / 512
     uint32_t const high = round_to_half(factor).bits;
     uint32_t const low = round_to_half(factor - read(Half{uint16_t(high)})).bits;
-    float const offset = p.offset[thread];
-    shared.of_channels[thread] = {{offset, offset, offset, offset}, high * 0x10001, low * 0x10001};
+    float const most = 255 * p.scale[thread] + p.offset[thread];
+    shared.of_channels[thread] = {{most, most, most, most}, high * 0x10001, low * 0x10001};
   }
   uint32_t const diagonal = lane / 8 == lane % 4 ? 0xffffu << (16 * (lane / 4 % 2)) : 0;
 
@@ -129,16 +131,18 @@ __global__ void __launch_bounds__(kThreads, Steps == 2 && Planes ? 3 : 2)
   double const scale_x = axis_x.scale();
   int const first_pixel = axis_x.first(axis_x.center(first_column + min(x0, columns - 1), scale_x), scale_x);
   Source<Steps, Planes> const source(image, channels, first_pixel, steps);
-  uint4 weights[Steps > 0 ? Steps : 1];
+  uint4 weights[Steps > 0 ? Steps : 1]{};
   uint4* const more_weights = reinterpret_cast<uint4*>(memory + tiles.x_weights) + warp * steps * 32 + lane;
-  int const own_columns[] = {first_column + column_of_tile(x0 + lane / 4),
-                             first_column + column_of_tile(x0 + lane / 4 + 8)};
-  find_x_weights<Steps>(axis_x, own_columns, source.from, steps, [&](int s, uint4 pairs) {
-    if constexpr (Steps > 0)
-      weights[s] = pairs;
-    else
-      more_weights[32 * s] = pairs;
-  });
+  if (has_columns) {
+    int const own_columns[] = {first_column + column_of_tile(x0 + lane / 4),
+                               first_column + column_of_tile(x0 + lane / 4 + 8)};
+    find_x_weights<Steps>(axis_x, own_columns, source.from, steps, source.is_split(), [&](int s, uint4 pairs) {
+      if constexpr (Steps > 0)
+        weights[s] = pairs;
+      else
+        more_weights[32 * s] = pairs;
+    });
+  }
 
   uint8_t const* const image_rows = static_cast<uint8_t const*>(image.data) + source.offset();
   int top = 0;                                       // of the rows of the image that a tile reads, plus lane / 4
@@ -146,59 +150,61 @@ __global__ void __launch_bounds__(kThreads, Steps == 2 && Planes ? 3 : 2)
   auto const load = [&](uint8_t const* plane, int chunk) {
     if constexpr (Steps > 0) source.load(plane, top + kChunk * chunk, words);
   };
-  // Weights of rows are found while the patches of another tile are copied.
-  auto const y_weights_of = [&](int which) { return memory + sizeof(Shared) + which * tiles.y_bytes; };
-  auto const clear = [&](unsigned char* from, int bytes) {
-#pragma unroll 1
-    for (int t = 16 * thread; t < bytes; t += 16 * int(blockDim.x)) *reinterpret_cast<uint4*>(from + t) = uint4{};
+  // The weights of the rows of a tile, while the patches of another one are made.
+  int const y_bytes = tiles.chunks * 2048;
+  bool const is_of_rows = thread + 32 >= int(blockDim.x);
+  auto const find_rows = [&](int i, int which) {
+    write_y_weights(axis_y, scale_y, per_unit_y, i * size, min(tiles.down, image.rows - i) * size,
+                    memory + sizeof(Shared) + which * y_bytes, y_bytes, shared.of_tiles[which]);
   };
-  auto const begin_tile = [&](int i, int which) {
-    int const first_row = i * size, rows = min(tiles.down, image.rows - i) * size;
-    int const first = axis_y.first(axis_y.center(first_row, scale_y), scale_y);
-    top = first + lane / 4;
+  auto const begin_tile = [&](int which) {
+    top = shared.of_tiles[which].top + lane / 4;
     if (has_columns) load(image_rows, 0);
-    if (thread == 0) shared.chunks[which] = (rows - 1) / kChunk + 1;
-    write_y_weights(axis_y, scale_y, per_unit_y, first_row, rows, first, tiles.chunks_y, y_weights_of(which),
-                    shared.of_chunks[which], shared.read_rows[which]);
   };
-  clear(memory + sizeof(Shared), tiles.x_weights - int(sizeof(Shared)));
+  if (is_of_rows) find_rows(begin_i, 0);
   __syncthreads();
-  begin_tile(begin_i, 0);
+  begin_tile(0);
 
-  uint32_t const own_memory = opaque(shared_address(memory) + 16 * lane);
-  uint32_t const levels = own_memory + tiles.levels + warp * tiles.chunks * 1024;
+  uint32_t const own_memory = opaque(shared_address(memory) + int(sizeof(Shared)) + 16 * lane);
   int const plane_bytes = kSize * (p.repeats ? size * size : 1);
   int64_t const strip_index = p.index(image, begin_i, tile_j);
   int which = 0;
   for (int i = begin_i; i < end_i; i += tiles.down, which ^= 1) {
     int const down = min(tiles.down, image.rows - i);
-    __syncthreads();
-    clear(y_weights_of(which ^ 1), tiles.y_bytes);
-    if (has_columns) {
-      int const read_rows = shared.read_rows[which];
+    if (is_of_rows) {
+      if (i + tiles.down < end_i) find_rows(i + tiles.down, which ^ 1);
+    } else if (has_columns) {
+      uint32_t const y_weights = own_memory + which * y_bytes;
+      uint4 of_rows[2][2];  // weights of 16 rows of the result, of 16 of the image
+      auto const load_weights = [&](int chunk) {
+#pragma unroll
+        for (int m = 0; m < 2; ++m)
+#pragma unroll
+          for (int k = 0; k < 2; ++k) of_rows[m][k] = load_shared(y_weights + 2048 * chunk + 1024 * m + 512 * k);
+      };
+      if (Chunks == 1) load_weights(0);
+      int const chunks = Chunks > 0 ? Chunks : (shared.of_tiles[which].count + kChunk - 1) / kChunk;
       uint8_t const* plane = image_rows;
       int c = 0;
 #pragma unroll 1
       do {
         uint8_t const* const next_plane = c + 1 < channels ? plane + image.channel_stride : plane;
-        int k = 0;
+        float rows[2][2][4]{};  // by 16 rows and 8 columns
 #pragma unroll 1
-        do {
+        for (int k = 0; k < chunks; ++k) {
           float sums[4][4]{};
-          int const next_k = k + 1;
-          bool const is_last = next_k * kChunk >= read_rows;
           if constexpr (Steps > 0) {
             if (source.pixels == Pixels::shifted) source.shift(plane, top, words);
 #pragma unroll
             for (int s = 0; s < Steps; ++s)
 #pragma unroll
               for (int j = 0; j < 4; ++j) multiply(sums[j], weights[s], low_pair(words[j][s]), high_pair(words[j][s]));
-            load(is_last ? next_plane : plane, is_last ? 0 : next_k);
+            bool const is_last = k + 1 == chunks;
+            load(is_last ? next_plane : plane, is_last ? 0 : k + 1);
           } else {
-            uint8_t const* rows[4];
+            uint8_t const* from[4];
 #pragma unroll
-            for (int j = 0; j < 4; ++j)
-              rows[j] = plane + uint64_t(unsigned(min(top + kChunk * k + 8 * j, source.last_row))) * source.row_stride;
+            for (int j = 0; j < 4; ++j) from[j] = source.row_of(plane, top + kChunk * k + 8 * j);
             auto const add = [&](auto pixels) {
 #pragma unroll 2
               for (int s = 0; s < steps; ++s) {
@@ -206,7 +212,7 @@ __global__ void __launch_bounds__(kThreads, Steps == 2 && Planes ? 3 : 2)
                 uint32_t words[4];
 #pragma unroll
                 for (int j = 0; j < 4; ++j)
-                  words[j] = source.template word<pixels()>(rows[j], source.from + column_of<0>(s));
+                  words[j] = source.template word<pixels()>(from[j], source.from + column_of<0>(s));
 #pragma unroll
                 for (int j = 0; j < 4; ++j) multiply(sums[j], weight, low_pair(words[j]), high_pair(words[j]));
               }
@@ -215,79 +221,53 @@ __global__ void __launch_bounds__(kThreads, Steps == 2 && Planes ? 3 : 2)
               add(std::integral_constant<Pixels, Pixels::aligned>{});
             else if (Planes || source.pixels == Pixels::shifted)
               add(std::integral_constant<Pixels, Pixels::shifted>{});
-            else if (source.pixels == Pixels::interleaved && source.is_safe(top - lane / 4 + kChunk * next_k))
+            else if (source.pixels == Pixels::interleaved && source.is_safe(top - lane / 4 + kChunk * (k + 1)))
               add(std::integral_constant<Pixels, Pixels::interleaved>{});
             else
               add(std::integral_constant<Pixels, Pixels::apart>{});
           }
-          uint32_t const to = levels + 1024 * k;
+          uint32_t levels[4][2];
 #pragma unroll
-          for (int j = 0; j < 4; j += 2)
-            store_shared(to + 256 * j,
-                         uint4{levels_of(sums[j][0], sums[j][1]), levels_of(sums[j + 1][0], sums[j + 1][1]),
-                               levels_of(sums[j][2], sums[j][3]), levels_of(sums[j + 1][2], sums[j + 1][3])});
-          k = next_k;
-        } while (k * kChunk < read_rows);
-        plane = next_plane;
+          for (int j = 0; j < 4; ++j)
+            levels[j][0] = levels_of(sums[j][0], sums[j][1]), levels[j][1] = levels_of(sums[j][2], sums[j][3]);
+          if (Chunks != 1) load_weights(k);
+#pragma unroll
+          for (int m = 0; m < 2; ++m)
+#pragma unroll
+            for (int l = 0; l < 2; ++l)
+#pragma unroll
+              for (int n = 0; n < 2; ++n) multiply(rows[m][n], of_rows[m][l], levels[2 * l][n], levels[2 * l + 1][n]);
+        }
 
         Normalization const normalization = shared.of_channels[c];
         uint32_t const high = normalization.high & diagonal, low = normalization.low & diagonal;
         uint32_t const plane_at = c * plane_bytes;
-        int b = 0;
-#pragma unroll 1
-        do {
-          Chunks const of_chunk = shared.of_chunks[which][b];
-          uint32_t weight = own_memory + int(sizeof(Shared)) + which * tiles.y_bytes + b * tiles.chunks_y * 2048;
-          uint32_t level = levels + 1024 * of_chunk.begin;
-          float sums[2][2][4]{};  // by 16 rows and 8 columns
-          auto const add = [&] {
+        plane = next_plane;
 #pragma unroll
-            for (int k = 0; k < 2; ++k) {
-              uint4 const l = load_shared(level + 512 * k);
+        for (int m = 0; m < 2; ++m) {
+          float v[2][4];
 #pragma unroll
-              for (int m = 0; m < 2; ++m) {
-                uint4 const w = load_shared(weight + 1024 * m + 512 * k);
-                multiply(sums[m][0], w, l.x, l.y);
-                multiply(sums[m][1], w, l.z, l.w);
-              }
-            }
-          };
-          add();
-#pragma unroll 1
-          for (int k = 1; k < of_chunk.count; ++k) {
-            level += 1024, weight += 2048;
-            add();
+          for (int n = 0; n < 2; ++n) {
+            uint32_t const upper = levels_below(rows[m][n][0], rows[m][n][1]);
+            uint32_t const lower = levels_below(rows[m][n][2], rows[m][n][3]);
+            multiply(v[n], upper, lower, high, normalization.most);
+            multiply(v[n], upper, lower, low, {v[n][0], v[n][1], v[n][2], v[n][3]});
           }
+          if (by_pairs) {
 #pragma unroll
-          for (int m = 0; m < 2; ++m) {
-            float v[2][4];
+            for (int n = 0; n < 4; ++n)
+              store_shared(row_at[2 * m + n % 2] + at[n / 2 * 2] + plane_at,
+                           rounded_pair(v[n / 2][n % 2 * 2], v[n / 2][n % 2 * 2 + 1], U{}));
+          } else {
 #pragma unroll
-            for (int n = 0; n < 2; ++n) {
-              uint32_t const upper = times(levels_of(sums[m][n][0], sums[m][n][1]), kTimes2To15);
-              uint32_t const lower = times(levels_of(sums[m][n][2], sums[m][n][3]), kTimes2To15);
-              v[n][0] = normalization.offset.x, v[n][1] = normalization.offset.y;
-              v[n][2] = normalization.offset.z, v[n][3] = normalization.offset.w;
-              multiply(v[n], upper, lower, high);
-              multiply(v[n], upper, lower, low);
-            }
-            uint32_t const* const rows_at = shared.row_at + kChunk * b + 16 * m + lane / 4;
-            uint32_t const row_at[] = {rows_at[0], rows_at[8]};
-            if (by_pairs) {
-#pragma unroll
-              for (int n = 0; n < 4; ++n)
-                store_shared(row_at[n % 2] + at[n / 2 * 2] + plane_at,
-                             rounded_pair(v[n / 2][n % 2 * 2], v[n / 2][n % 2 * 2 + 1], U{}));
-            } else {
-#pragma unroll
-              for (int n = 0; n < 8; ++n)
-                store_shared(row_at[n / 2 % 2] + at[n / 4 * 2 + n % 2] + plane_at, round_to<U>(v[n / 4][n % 4]));
-            }
+            for (int n = 0; n < 8; ++n)
+              store_shared(row_at[2 * m + n / 2 % 2] + at[n / 4 * 2 + n % 2] + plane_at, round_to<U>(v[n / 4][n % 4]));
           }
-        } while (++b < shared.chunks[which]);
+        }
       } while (++c < channels);
     }
     __syncthreads();
-    if (i + tiles.down < end_i) begin_tile(i + tiles.down, which ^ 1);
+    if (i + tiles.down < end_i) begin_tile(which ^ 1);
 
     // Patches that are adjacent in the result, or single ones.
     bool const is_whole = group == p.merge;
@@ -313,6 +293,7 @@ __global__ void __launch_bounds__(kThreads, Steps == 2 && Planes ? 3 : 2)
         else
           copy(uint32_t{});
       }
+    __syncthreads();
   }
 }
 
@@ -339,7 +320,6 @@ ByteTiles tiles_of(VisionPatches<uint8_t> const& p, PatchImage const* images, in
     int64_t const columns = across * size, rows = down * size, warps = ceil_div(columns, 16);
     int64_t const steps = max(ceil_div(read(16, shrink_x) + 7, 16), int64_t(2));  // from a multiple of 8 on
     int64_t const chunks = ceil_div(read(rows, shrink_y), kChunk);
-    int64_t const chunks_y = rows <= kChunk ? chunks : ceil_div(read(kChunk, shrink_y) + kChunk - 1, kChunk);
     ByteTiles t{};
     t.across = int(across), t.down = int(down);
     t.group = across % p.merge == 0 && down % p.merge == 0 ? p.merge : 1;
@@ -349,12 +329,10 @@ ByteTiles tiles_of(VisionPatches<uint8_t> const& p, PatchImage const* images, in
     t.vector = unit % 16 == 0 ? 16 : unit % 8 == 0 ? 8 : int(sizeof(U));
     int64_t const plane_vectors = ceil_div(int64_t(sizeof(U)) * size * size, t.vector);
     t.per_plane = uint32_t(ceil_div(int64_t(1) << 32, max(plane_vectors, int64_t(2))));
-    t.steps = int(steps), t.chunks = int(chunks), t.chunks_y = int(chunks_y);
-    int64_t const y_bytes = ceil_div(rows, kChunk) * chunks_y * 2048, levels = sizeof(Shared) + 2 * y_bytes;
-    int64_t const x_weights = levels + warps * chunks * 1024;
+    t.steps = int(steps), t.chunks = int(chunks);
+    int64_t const x_weights = sizeof(Shared) + 2 * chunks * 2048;
     int64_t const patches = x_weights + (steps > 3 ? warps * steps * 512 : 0);
-    t.y_bytes = int(y_bytes);
-    t.levels = int(levels), t.x_weights = int(x_weights), t.patches = int(patches);
+    t.x_weights = int(x_weights), t.patches = int(patches);
     t.bytes = int(min(patches + columns * rows * p.channels * int64_t(sizeof(U)), int64_t(INT32_MAX)));
     return t;
   };
@@ -372,6 +350,23 @@ ByteTiles tiles_of(VisionPatches<uint8_t> const& p, PatchImage const* images, in
   return tiles;
 }
 
+// Tiles of a strip, so that blocks, of which so many run at once, finish soonest: long strips, and whole waves of them.
+int strip_of(ByteTiles const& tiles, PatchImage const* images, int count, int at_once) {
+  int most = 1;
+  for (int n = 0; n < count; ++n) most = max(most, int(ceil_div(images[n].rows, tiles.down)));
+  int best = 1;
+  int64_t least = INT64_MAX;
+  for (int parts = 1; parts <= most; parts += (parts + 1) / 2) {
+    int const strip = int(ceil_div(most, parts));
+    int64_t blocks = 0;
+    for (int n = 0; n < count; ++n)
+      blocks += ceil_div(images[n].columns, tiles.across) * ceil_div(images[n].rows, tiles.down * strip);
+    int64_t const tiles_each = ceil_div(blocks, int64_t(at_once)) * (strip + kPrologue);
+    if (tiles_each < least) least = tiles_each, best = strip;
+  }
+  return best;
+}
+
 template <class U>
 int launch(VisionPatches<uint8_t> const& p, CUstream_st* stream) {
   for (int first = 0; first < p.count; first += kImages) {
@@ -379,23 +374,21 @@ int launch(VisionPatches<uint8_t> const& p, CUstream_st* stream) {
     part.count = min(p.count - first, kImages);
     ByteTiles tiles = tiles_of<U>(p, p.images + first, part.count);
     for (int n = first; n < first + part.count; ++n)
-      if (max(p.images[n].row_stride, p.images[n].step * p.images[n].width) > INT32_MAX) return kUnsupported;
-    if (tiles.bytes > max_shared_bytes(kShared) || tiles.down * p.patch > kMaxRows) return kUnsupported;
-    // Strips so long that there are some waves of them: the weights of their columns are found once.
-    int64_t all = 0;
-    for (int n = first; n < first + part.count; ++n)
-      all += ceil_div(p.images[n].rows, tiles.down) * ceil_div(p.images[n].columns, tiles.across);
-    tiles.strip = int(clamp(all / (kStrips * multiprocessors()), int64_t(1), int64_t(32)));
+      if (max(p.images[n].row_stride, p.images[n].step * p.images[n].width) > INT32_MAX / 8) return kUnsupported;
+    if (tiles.bytes > max_shared_bytes(kShared) || tiles.down * p.patch > kRows) return kUnsupported;
+    bool planes = true;
+    for (int n = first; n < first + part.count; ++n) planes = planes && p.images[n].step == 1;
+    tiles.strip =
+        strip_of(tiles, p.images + first, part.count, multiprocessors() * blocks_at_once(tiles.steps, planes));
     Table table;
     unsigned const blocks = fill_table(part, p.images + first, tiles.across, tiles.down * tiles.strip, table);
     if (blocks == 0) continue;
-    int const threads = int(ceil_div(tiles.across * p.patch, 16)) * 32;
-    bool planes = true;
-    for (int n = first; n < first + part.count; ++n) planes = planes && p.images[n].step == 1;
+    int const threads = int(ceil_div(tiles.across * p.patch, 16) + 1) * 32;
     auto const kernel_of = [&](auto of_planes) {
-      return tiles.steps == 2   ? make_patches_of_bytes<U, 2, of_planes()>
-             : tiles.steps == 3 ? make_patches_of_bytes<U, 3, of_planes()>
-                                : make_patches_of_bytes<U, 0, of_planes()>;
+      return tiles.steps == 2   ? tiles.chunks == 1 ? make_patches_of_bytes<U, 2, 1, of_planes()>
+                                                    : make_patches_of_bytes<U, 2, 0, of_planes()>
+               : tiles.steps == 3 ? make_patches_of_bytes<U, 3, 0, of_planes()>
+                                : make_patches_of_bytes<U, 0, 0, of_planes()>;
     };
     auto* const kernel = planes ? kernel_of(std::true_type{}) : kernel_of(std::false_type{});
     if (int const error = cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, tiles.bytes))

@@ -20,12 +20,12 @@ __device__ __forceinline__ void multiply(float (&sums)[4], uint4 a, uint32_t b0,
       : "r"(a.x), "r"(a.y), "r"(a.z), "r"(a.w), "r"(b0), "r"(b1));
 #endif
 }
-// The same of 16 x 8 and 8 x 8.
-__device__ __forceinline__ void multiply(float (&sums)[4], uint32_t a0, uint32_t a1, uint32_t b) {
+// The product of 16 x 8 and 8 x 8, plus a number or what the product is added to.
+__device__ __forceinline__ void multiply(float (&sums)[4], uint32_t a0, uint32_t a1, uint32_t b, float4 plus) {
 #if defined(__CUDA_ARCH__) && __CUDA_ARCH__ >= 800
-  asm("mma.sync.aligned.m16n8k8.row.col.f32.f16.f16.f32 {%0, %1, %2, %3}, {%4, %5}, {%6}, {%0, %1, %2, %3};"
-      : "+f"(sums[0]), "+f"(sums[1]), "+f"(sums[2]), "+f"(sums[3])
-      : "r"(a0), "r"(a1), "r"(b));
+  asm("mma.sync.aligned.m16n8k8.row.col.f32.f16.f16.f32 {%0, %1, %2, %3}, {%4, %5}, {%6}, {%7, %8, %9, %10};"
+      : "=f"(sums[0]), "=f"(sums[1]), "=f"(sums[2]), "=f"(sums[3])
+      : "r"(a0), "r"(a1), "r"(b), "f"(plus.x), "f"(plus.y), "f"(plus.z), "f"(plus.w));
 #endif
 }
 // A pair of 16-bit floats, the first one in the low bits.
@@ -47,10 +47,12 @@ __device__ __forceinline__ uint32_t positive_half_pair(float low, float high) {
   return both;
 #endif
 }
-// The product of pairs of 16-bit floats.
-__device__ __forceinline__ uint32_t times(uint32_t a, uint32_t b) {
-  uint32_t both;
-  asm("mul.rn.f16x2 %0, %1, %2;" : "=r"(both) : "r"(a), "r"(b));
+// Of pairs of 16-bit floats, a * b + c, 0 instead of less.
+__device__ __forceinline__ uint32_t positive_fma(uint32_t a, uint32_t b, uint32_t c) {
+  uint32_t both = 0;
+#if defined(__CUDA_ARCH__) && __CUDA_ARCH__ >= 800
+  asm("fma.rn.relu.f16x2 %0, %1, %2, %3;" : "=r"(both) : "r"(a), "r"(b), "r"(c));
+#endif
   return both;
 }
 __device__ __forceinline__ Vector<float, 2> rounded_pair(float a, float b, float) { return {a, b}; }
@@ -88,17 +90,31 @@ __device__ __forceinline__ void store_shared(uint32_t to, float v) {
 __device__ __forceinline__ void store_shared(uint32_t to, BFloat16 v) {
   asm volatile("st.shared.u16 [%0], %1;" ::"r"(to), "h"(v.bits) : "memory");
 }
+// Global memory, likewise, at an address of a multiple of the size.
+__device__ __forceinline__ uint2 load_global(uint64_t from, uint2) {
+  uint2 v;
+  asm("ld.global.nc.v2.u32 {%0, %1}, [%2];" : "=r"(v.x), "=r"(v.y) : "l"(from));
+  return v;
+}
+__device__ __forceinline__ uint32_t load_global(uint64_t from, uint32_t) {
+  uint32_t v;
+  asm("ld.global.nc.u32 %0, [%1];" : "=r"(v) : "l"(from));
+  return v;
+}
 __device__ __forceinline__ uint32_t shared_address(void const* p) { return uint32_t(__cvta_generic_to_shared(p)); }
 // The same number, of which nvcc knows nothing.
 __device__ __forceinline__ uint32_t opaque(uint32_t x) { return __shfl_xor_sync(0xffffffffu, x, 0); }
 
 // --- levels ----------------------------------------------------------------------------------------------------------
 
-constexpr uint32_t kTimes2To15 = 0x78007800;  // a pair
-
 // A pair of levels, as words and as floats in 2^-24, of sums in that unit.
 __device__ __forceinline__ uint32_t levels_of(float a, float b) {
   return __vminu2(positive_half_pair(a, b), 0x00ff00ffu);
+}
+// What such levels lack to 255, in 1 / 512.
+__device__ __forceinline__ uint32_t levels_below(float a, float b) {
+  constexpr uint32_t kMinus2To15 = 0xf800f800, kMost = 0x37f837f8;
+  return positive_fma(positive_half_pair(a, b), kMinus2To15, kMost);
 }
 // Pairs of four bytes.
 __device__ __forceinline__ uint32_t low_pair(uint32_t bytes) { return __byte_perm(bytes, 0, 0x4140); }
@@ -117,17 +133,19 @@ __device__ __forceinline__ float as_half(float x) { return read(round_to_half(x)
 // The tap that is farthest from the center, which is `-start` taps after the first one.
 __device__ __forceinline__ int farthest(float start, int count) { return -start > start + count - 1 ? 0 : count - 1; }
 
-// The columns of the image that lane % 4 multiplies in a step: four from here on.
+// The columns of the image that lane % 4 multiplies in a step: four from here on. `split`: of three steps, the first
+// two as of two.
 template <int Steps>
-__device__ __forceinline__ int column_of(int step) {
+__device__ __forceinline__ int column_of(int step, bool split = false) {
   int const t = int(threadIdx.x % 4);
+  if (Steps == 3 && split) return step < 2 ? 8 * t + 4 * step : 32 + 4 * t;
   return Steps > 0 ? 4 * (Steps * t + step) : 16 * step + 4 * t;
 }
 
 // The weights of two columns of the result for columns of the image from `from` on, by steps: operands of products.
 template <int Steps, class F>
 __device__ __forceinline__ void find_x_weights(Axis const& axis, int const (&columns)[2], int from, int steps,
-                                               F store) {
+                                               bool split, F store) {
   double const scale = axis.scale();
   float const per_unit = float(1 / max(scale, 1.));
   bool const bilinear = axis.filter == geometry::ResizeFilter::bilinear;
@@ -140,7 +158,7 @@ __device__ __forceinline__ void find_x_weights(Axis const& axis, int const (&col
     start[i] = float(begin[i] - center), begin[i] -= from;
   }
   auto const weight = [&](int s, int n) {
-    int const i = n / 4, k = column_of<Steps>(s) + n % 4 - begin[i];
+    int const i = n / 4, k = column_of<Steps>(s, split) + n % 4 - begin[i];
     return unsigned(k) < unsigned(count[i]) ? weight_at(bilinear, (start[i] + k) * per_unit) : 0.f;
   };
   float kept[Steps > 0 ? Steps : 1][8]{};
@@ -153,7 +171,7 @@ __device__ __forceinline__ void find_x_weights(Axis const& axis, int const (&col
   auto const value = [&](int s, int n) {
     int const i = n / 4;
     float const w = factors[i] * (Steps > 0 ? kept[Steps > 0 ? s : 0][n] : weight(s, n));
-    bool const has_rest = column_of<Steps>(s) + n % 4 - begin[i] == farthest(start[i], count[i]);
+    bool const has_rest = column_of<Steps>(s, split) + n % 4 - begin[i] == farthest(start[i], count[i]);
     return rest[i] != 0 && has_rest ? as_half(w) + rest[i] : w;
   };
   auto const sum_of = [&](int i, auto f) {
@@ -182,65 +200,40 @@ __device__ __forceinline__ void find_x_weights(Axis const& axis, int const (&col
   }
 }
 
-// Where the levels begin, in chunks, that a chunk of a tile reads, and how many.
-struct Chunks {
-  int begin, count;
+// Rows of the image that a tile reads.
+struct TileRows {
+  int top, count;
 };
 
-// Adds the weights of `rows` rows of the result, from `first_row` on, to `weights`, which are zeros: by chunks of the
-// result and of the image, by 16 rows of either, and lane. Those after the last row are as it is. Eight threads a row.
-// `top`: of the rows of the image.
+// Writes the weights of the `rows` rows of the result from `first_row` on, by chunks of the image, by 16 rows of the
+// result and of it, and lane. Rows after the last one are as it is. By a warp, a row each lane.
 __device__ __forceinline__ void write_y_weights(Axis const& axis, double scale, float per_unit, int first_row, int rows,
-                                                int top, int chunks, unsigned char* weights, Chunks* of_chunks,
-                                                int& read_rows) {
+                                                unsigned char* weights, int bytes, TileRows& of_tile) {
   bool const bilinear = axis.filter == geometry::ResizeFilter::bilinear;
-  // Bytes before the weight of rows of the result and of the image.
-  auto const at_row = [](unsigned i) { return i % 32 / 16 * 1024 + i % 16 / 8 * 4 + i % 8 * 64; };
-  auto const at_pixel = [](unsigned i) {
-    return i / 32 * 2048 + i % 32 / 16 * 512 + i % 16 / 8 * 8 + i % 8 / 2 * 16 + i % 2 * 2;
-  };
+  int const lane = int(threadIdx.x % 32);
 #pragma unroll 1
-  for (unsigned t = threadIdx.x; t < 8u * ((unsigned(rows) + 3) / 4 * 4); t += blockDim.x) {
-    unsigned const r = min(t / 8, unsigned(rows - 1)), chunk = r / kChunk;
-    double const center = axis.center(first_row + int(r), scale);
-    int const first = axis.first(center, scale), count = axis.end(center, scale) - first;
-    unsigned begin = 0;
-    if (chunk > 0)
-      begin = unsigned(axis.first(axis.center(first_row + int(kChunk * chunk), scale), scale) - top) / kChunk;
-    float const start = float(first - center);
-    auto const weight = [&](int k) { return weight_at(bilinear, (start + k) * per_unit); };
-    int const k0 = int(t % 8);
-    float const own = k0 < count ? weight(k0) : 0.f;
-    auto const sum_of = [&](auto f) {
-      float sum = f(own);
+  for (int t = 16 * lane; t < bytes; t += 16 * 32) *reinterpret_cast<uint4*>(weights + t) = uint4{};
+  __syncwarp();
+  double const center = axis.center(first_row + min(lane, rows - 1), scale);
+  int const first = axis.first(center, scale), count = axis.end(center, scale) - first;
+  int const top = __shfl_sync(0xffffffffu, first, 0);
+  if (lane == 31) of_tile = {top, first + count - top};
+  float const start = float(first - center);
+  auto const weight = [&](int k) { return weight_at(bilinear, (start + k) * per_unit); };
+  float sum = 0, rest = 1;
 #pragma unroll 1
-      for (int k = k0 + 8; k < count; k += 8) sum += f(weight(k));
-      sum += __shfl_xor_sync(0xffffffffu, sum, 1);
-      sum += __shfl_xor_sync(0xffffffffu, sum, 2);
-      return sum + __shfl_xor_sync(0xffffffffu, sum, 4);
-    };
-    float const factor = __fdividef(1, sum_of([](float w) { return w; }));
-    float const rest = 1 - sum_of([&](float w) { return as_half(w * factor); });
-    if (t / 8 > r) continue;
-    bool const is_last = r == unsigned(rows - 1);
-    unsigned const from = unsigned(first - top), end = from + count;
-    if (r % kChunk == 0) of_chunks[chunk].begin = int(begin);
-    if (is_last) read_rows = int(end);
-    if (is_last || r % kChunk == kChunk - 1) of_chunks[chunk].count = int((end - 1) / kChunk + 1 - begin);
-    unsigned char* const to = weights + chunk * chunks * 2048 + at_row(r);
-    auto const write = [&](int k, float value) {
-      unsigned char* const at = to + at_pixel(from - kChunk * begin + k);
-      value *= factor;
-      uint16_t const bits = round_to_half(k == farthest(start, count) ? as_half(value) + rest : value).bits;
-      *reinterpret_cast<uint16_t*>(at) = bits;
-      if (is_last)
+  for (int k = 0; k < count; ++k) sum += weight(k);
+  float const factor = __fdividef(1, sum);
 #pragma unroll 1
-        for (unsigned i = r + 1; i % kChunk > 0; ++i)
-          *reinterpret_cast<uint16_t*>(at + int(at_row(i) - at_row(r))) = bits;
-    };
-    if (k0 < count) write(k0, own);
+  for (int k = 0; k < count; ++k) rest -= as_half(weight(k) * factor);
+  unsigned char* const to = weights + lane / 16 * 1024 + lane % 16 / 8 * 4 + lane % 8 * 64;
+  int const has_rest = farthest(start, count);
 #pragma unroll 1
-    for (int k = k0 + 8; k < count; k += 8) write(k, weight(k));
+  for (int k = 0; k < count; ++k) {
+    unsigned const i = unsigned(first - top + k);
+    float const value = weight(k) * factor;
+    *reinterpret_cast<uint16_t*>(to + i / 32 * 2048 + i % 32 / 16 * 512 + i % 16 / 8 * 8 + i % 8 / 2 * 16 + i % 2 * 2) =
+        round_to_half(k == has_rest ? as_half(value) + rest : value).bits;
   }
 }
 
@@ -252,15 +245,16 @@ enum class Pixels { aligned, shifted, interleaved, apart };
 
 // The columns of the image that a warp reads, from `from` on. Planes: the first two of these only, in fewer registers.
 // Words with a pixel of a row are safe to load as a whole. A lane's rows are 8 apart, so that its vectors of 8 bytes
-// are equally aligned in all of them.
+// are equally aligned in all of them: after the last row, the last one of these is read again.
 template <int Steps, bool Planes>
 struct Source {
   static constexpr int kWords = Steps > 0 ? Steps : 1;
-  static constexpr int kBytes = Steps == 2 ? 8 : 4;  // of an aligned load
+  static constexpr int kBytes = Steps > 0 ? 8 : 4;     // of an aligned load
+  static constexpr int kShifted = Steps == 2 ? 8 : 4;  // of one that is to be shifted
   Pixels pixels;
   int from, last, last_row, step;
   unsigned row_stride;
-  bool is_inner;  // words after those that are read are in the row, too
+  bool is_inner;  // pixels after those that are read are in the row, too
 
   __device__ __forceinline__ Source(PatchImage const& image, int channels, int first, int steps)
       : from(first),
@@ -278,9 +272,10 @@ struct Source {
   // Of the lane, where its pixels of a row are adjacent.
   __device__ __forceinline__ int offset() const {
     if (Steps == 0 || (!Planes && pixels == Pixels::apart)) return 0;
-    int const x = from + column_of<Steps>(0);
+    int const x = from + column_of<Steps>(0, is_split());
     return !Planes && pixels == Pixels::interleaved ? 3 * x : min(x, last);
   }
+  __device__ __forceinline__ bool is_split() const { return Steps == 3 && pixels == Pixels::aligned; }
   // Whether interleaved rows before `end` may be read some bytes further.
   __device__ __forceinline__ bool is_safe(int end) const { return is_inner || end <= last_row; }
 
@@ -291,6 +286,9 @@ struct Source {
   // The first bytes of four times three.
   static __device__ __forceinline__ uint32_t every_third(uint32_t a, uint32_t b, uint32_t c) {
     return __byte_perm(__byte_perm(a, b, 0x0630), c, 0x5210);
+  }
+  __device__ __forceinline__ uint8_t const* row_of(uint8_t const* plane, int y) const {
+    return plane + uint64_t(unsigned(min(y, last_row))) * row_stride;
   }
   // Each byte alone, from column x on.
   __device__ __forceinline__ uint32_t gather(uint8_t const* row, int x) const {
@@ -322,43 +320,42 @@ struct Source {
   // Loads the words of all steps in rows y + 8 i of a channel, which begins at `plane`, or `offset()` further. Those of
   // rows that are not aligned are still to be shifted.
   __device__ __forceinline__ void load(uint8_t const* plane, int y, uint32_t (&words)[4][kWords]) const {
-    uint8_t const* rows[4];
+    int const top = min(y, last_row);
+    unsigned const more = unsigned(last_row - top) / 8, stride = 8 * row_stride;
+    uint64_t const first = reinterpret_cast<uint64_t>(plane) + uint64_t(unsigned(top)) * row_stride;
+    auto const load_all = [&](uint64_t at, auto store) {
 #pragma unroll
-    for (int i = 0; i < 4; ++i) rows[i] = plane + uint64_t(unsigned(min(y + 8 * i, last_row))) * row_stride;
+      for (unsigned i = 0; i < 4; ++i) store(i, at + uint64_t(min(i, more)) * stride);
+    };
     if (Planes || pixels == Pixels::aligned || pixels == Pixels::shifted) {
-      if constexpr (Steps == 2) {
-#pragma unroll
-        for (int i = 0; i < 4; ++i) {
-          uint2 const both = *aligned<uint2>(rows[i]);
+      if (Steps == 2 || pixels == Pixels::aligned) {
+        load_all(first & ~uint64_t(7), [&](int i, uint64_t at) {
+          uint2 const both = load_global(at, uint2{});
           words[i][0] = both.x, words[i][1] = both.y;
-        }
-      } else if (is_inner) {
-#pragma unroll
-        for (int i = 0; i < 4; ++i)
-#pragma unroll
-          for (int s = 0; s < Steps; ++s) words[i][s] = aligned<uint32_t>(rows[i])[s];
+        });
+        if constexpr (Steps == 3)
+          load_all((first + (min(from + column_of<3>(2, true), last) - offset())) & ~uint64_t(3),
+                   [&](int i, uint64_t at) { words[i][2] = load_global(at, uint32_t{}); });
       } else {
-        int const left = last - offset();
+        int const left = int(first % 4) + last - offset();
 #pragma unroll
-        for (int i = 0; i < 4; ++i)
-#pragma unroll
-          for (int s = 0; s < Steps; ++s) {
-            int const words_left = int(reinterpret_cast<uintptr_t>(rows[i]) % 4 + unsigned(left)) / 4;
-            words[i][s] = aligned<uint32_t>(rows[i])[min(s, words_left)];
-          }
+        for (int s = 0; s < Steps; ++s)
+          load_all((first & ~uint64_t(3)) + 4 * min(s, left / 4),
+                   [&](int i, uint64_t at) { words[i][s] = load_global(at, uint32_t{}); });
       }
     } else if (pixels == Pixels::interleaved && is_safe(y - int(threadIdx.x % 32 / 4) + kChunk)) {
       constexpr int kVectors = (7 + 12 * Steps) / 8 + 1;
 #pragma unroll
       for (int i = 0; i < 4; ++i) {
         if (i == 2) limit_loads();
+        uint8_t const* const row = row_of(plane, y + 8 * i);
         uint32_t all[2 * kVectors], own[3 * Steps + 1];
 #pragma unroll
         for (int v = 0; v < kVectors; ++v) {
-          uint2 const both = aligned<uint2>(rows[i])[v];
+          uint2 const both = aligned<uint2>(row)[v];
           all[2 * v] = both.x, all[2 * v + 1] = both.y;
         }
-        unsigned const before = unsigned(reinterpret_cast<uintptr_t>(rows[i])) % 8;
+        unsigned const before = unsigned(reinterpret_cast<uintptr_t>(row)) % 8;
 #pragma unroll
         for (int w = 0; w <= 3 * Steps; ++w) own[w] = before >= 4 ? all[w + 1] : all[w];
 #pragma unroll
@@ -370,8 +367,9 @@ struct Source {
 #pragma unroll
       for (int i = 0; i < 4; ++i) {
         limit_loads();
+        uint8_t const* const row = row_of(plane, y + 8 * i) - offset();
 #pragma unroll
-        for (int s = 0; s < Steps; ++s) words[i][s] = gather(rows[i] - offset(), from + column_of<Steps>(s));
+        for (int s = 0; s < Steps; ++s) words[i][s] = gather(row, from + column_of<Steps>(s));
       }
     }
   }
@@ -379,7 +377,8 @@ struct Source {
   // longer read.
   __device__ __forceinline__ void shift(uint8_t const* plane, int y, uint32_t (&words)[4][kWords]) const {
     unsigned const before =
-        (unsigned(reinterpret_cast<uintptr_t>(plane)) + unsigned(from - offset()) + unsigned(y) * row_stride) % kBytes;
+        (unsigned(reinterpret_cast<uintptr_t>(plane)) + unsigned(from - offset()) + unsigned(y) * row_stride) %
+        kShifted;
     unsigned const bits = 8 * (before % 4);
     if constexpr (Steps == 2) {
       bool const by_word = before >= 4;

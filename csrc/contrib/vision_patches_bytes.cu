@@ -31,6 +31,7 @@ struct ByteTiles {
   int steps;           // of 16 columns of the image that 16 of the result read
   int chunks;          // of the image that a tile reads, at most
   int x_weights, patches;
+  int buffer;  // bytes of the patches of a tile, if there is room for those of two, or 0
   int bytes;
 };
 
@@ -185,6 +186,7 @@ __global__ void __launch_bounds__(kThreads, blocks_at_once(Steps, Planes))
       if (Chunks == 1) load_weights(0);
       int const chunks = Chunks > 0 ? Chunks : (shared.of_tiles[which].count + kChunk - 1) / kChunk;
       uint8_t const* plane = image_rows;
+      uint32_t plane_at = which * tiles.buffer;  // bytes before the plane in the patches
       int c = 0;
 #pragma unroll 1
       do {
@@ -241,7 +243,6 @@ __global__ void __launch_bounds__(kThreads, blocks_at_once(Steps, Planes))
 
         Normalization const normalization = shared.of_channels[c];
         uint32_t const high = normalization.high & diagonal, low = normalization.low & diagonal;
-        uint32_t const plane_at = c * plane_bytes;
         plane = next_plane;
 #pragma unroll
         for (int m = 0; m < 2; ++m) {
@@ -264,35 +265,53 @@ __global__ void __launch_bounds__(kThreads, blocks_at_once(Steps, Planes))
               store_shared(row_at[2 * m + n / 2 % 2] + at[n / 4 * 2 + n % 2] + plane_at, round_to<U>(v[n / 4][n % 4]));
           }
         }
+        plane_at += plane_bytes;
       } while (++c < channels);
     }
-    __syncthreads();
-    if (i + tiles.down < end_i) begin_tile(which ^ 1);
-
     // Patches that are adjacent in the result, or single ones.
     bool const is_whole = group == p.merge;
-    int const run = is_whole ? across * group : 1, bytes = kSize * elements;
-    int n = 0;
+    int const run = is_whole ? across * group : 1, bytes = kSize * elements * run;
+    auto const for_each_run = [&](auto f) {
+      int n = 0;
 #pragma unroll 1
-    for (int y = 0; y < down; y += group)
+      for (int y = 0; y < down; y += group)
 #pragma unroll 1
-      for (int x = 0; x < across; x += is_whole ? across : 1, ++n) {
-        int64_t const index =
-            is_whole ? strip_index + int64_t(i - begin_i + y) * image.columns : p.index(image, i + y, tile_j + x);
-        auto* const to = static_cast<unsigned char*>(p.patches) + index * p.elements() * int64_t(kSize);
-        unsigned char const* const from = memory + tiles.patches + n * run * bytes;
-        auto const copy = [&](auto vector) {
-          copy_patches<decltype(vector)>(from, to, bytes * run, kSize * size * size, tiles.per_plane, p.repeats);
-        };
-        if (tiles.vector == 16)
-          copy(uint4{});
-        else if (tiles.vector == 8)
-          copy(uint2{});
-        else if constexpr (sizeof(U) == 2)
-          copy(uint16_t{});
-        else
-          copy(uint32_t{});
+        for (int x = 0; x < across; x += is_whole ? across : 1, ++n) {
+          int64_t const index =
+              is_whole ? strip_index + int64_t(i - begin_i + y) * image.columns : p.index(image, i + y, tile_j + x);
+          f(static_cast<unsigned char*>(p.patches) + index * p.elements() * int64_t(kSize),
+            memory + tiles.patches + which * tiles.buffer + n * bytes);
+        }
+    };
+    bool const copies_alone = kCopiesAlone && tiles.buffer > 0, has_next = i + tiles.down < end_i;
+    if (copies_alone) {
+      show_to_copies();
+      if (thread + 32 == int(blockDim.x)) wait_for_copies();  // of the tile before
+    }
+    __syncthreads();
+    if (has_next) begin_tile(which ^ 1);
+    if (copies_alone) {
+      if (thread + 32 == int(blockDim.x)) {
+        for_each_run(
+            [&](unsigned char* to, unsigned char const* from) { copy_alone(to, shared_address(from), bytes); });
+        end_copies();
+        if (!has_next) wait_for_copies();
       }
+      continue;
+    }
+    for_each_run([&](unsigned char* to, unsigned char const* from) {
+      auto const copy = [&](auto vector) {
+        copy_patches<decltype(vector)>(from, to, bytes, kSize * size * size, tiles.per_plane, p.repeats);
+      };
+      if (tiles.vector == 16)
+        copy(uint4{});
+      else if (tiles.vector == 8)
+        copy(uint2{});
+      else if constexpr (sizeof(U) == 2)
+        copy(uint16_t{});
+      else
+        copy(uint32_t{});
+    });
     __syncthreads();
   }
 }
@@ -333,7 +352,10 @@ ByteTiles tiles_of(VisionPatches<uint8_t> const& p, PatchImage const* images, in
     int64_t const x_weights = sizeof(Shared) + 2 * chunks * 2048;
     int64_t const patches = x_weights + (steps > 3 ? warps * steps * 512 : 0);
     t.x_weights = int(x_weights), t.patches = int(patches);
-    t.bytes = int(min(patches + columns * rows * p.channels * int64_t(sizeof(U)), int64_t(INT32_MAX)));
+    int64_t const buffer = columns * rows * p.channels * int64_t(sizeof(U));
+    bool const has_two = p.repeats <= 1 && t.vector == 16 && patches + 2 * buffer <= kShared / 2;
+    t.buffer = has_two ? int(buffer) : 0;
+    t.bytes = int(min(patches + (has_two ? 2 : 1) * buffer, int64_t(INT32_MAX)));
     return t;
   };
   auto const whole = [&](int64_t n) { return max(n >= p.merge ? n / p.merge * p.merge : n, int64_t(1)); };

@@ -45,12 +45,23 @@ def read_displaced_list(
     images: Sequence[Tensor], displacements: Tensor, resampling: Resampling, by_channel: bool = False
 ) -> list[Tensor]:
     """Images (C, H, W) of different sizes read by maps, of each or of each of their channels, as `remap_list` takes them."""
+    fill = fill_of_images(images[0], resampling.fill)
+    return _read_displaced_list(images, displacements, resampling, fill, by_channel)
+
+
+def read_labels_displaced_list(masks: Sequence[Tensor], displacements: Tensor, resampling: Resampling) -> list[Tensor]:
+    """Masks (N, H, W) of any type and of different sizes read by a map of each."""
+    moved = _read_displaced_list(exact_each(masks), displacements, resampling, resampling.fill, False)
+    return as_type_of_each(moved, masks[0].dtype)
+
+
+def _read_displaced_list(
+    images: Sequence[Tensor], displacements: Tensor, resampling: Resampling, fill: object, by_channel: bool
+) -> list[Tensor]:
     like = like_batch(images)
-    padding, fill = sampling.padding_and_fill(
-        "augmentation", like, resampling.padding, fill_of_images(like, resampling.fill)
-    )
+    padding, fill_values = sampling.padding_and_fill("augmentation", like, resampling.padding, fill)
     options = (INTERPOLATION[resampling.mode], padding, resampling.align_corners, by_channel)
-    return list(remap_list(list(images), displacements, fill, *options))
+    return list(remap_list(list(images), displacements.to(compute_dtype(like)), fill_values, *options))
 
 
 def as_batch(layers: Sequence[Tensor]) -> Tensor:
@@ -118,9 +129,26 @@ def read_labels_composed(masks: Tensor, links: Sequence[Tensor], size: Sequence[
 
 def exact(masks: Tensor) -> Tensor:
     """Masks in a type that warps read and that holds all their values: float64 holds all integers up to 2^53."""
-    if masks.is_floating_point() or masks.dtype == torch.uint8:
-        return masks
-    return masks.to(torch.float32 if masks.dtype in (torch.bool, torch.int8, torch.int16) else torch.float64)
+    return as_dtype(masks, _exact_type(masks.dtype))
+
+
+def exact_each(masks: Sequence[Tensor]) -> list[Tensor]:
+    """The same of a list of one type, by the launches of one conversion."""
+    return as_type_of_each(masks, _exact_type(masks[0].dtype))
+
+
+def as_type_of_each(masks: Sequence[Tensor], dtype: torch.dtype) -> list[Tensor]:
+    """Masks of a list of one type in another one."""
+    if masks[0].dtype == dtype:
+        return list(masks)
+    values = torch.cat([mask.flatten() for mask in masks]).to(dtype)
+    return [own.view(mask.shape) for own, mask in zip(values.split([mask.numel() for mask in masks]), masks)]
+
+
+def _exact_type(dtype: torch.dtype) -> torch.dtype:
+    if dtype.is_floating_point or dtype == torch.uint8:
+        return dtype
+    return torch.float32 if dtype in (torch.bool, torch.int8, torch.int16) else torch.float64
 
 
 def _read(

@@ -118,7 +118,9 @@ def test_launches_do_not_depend_on_the_number_of_labels(name, filters, is_replay
             augment(images, *given, **options)
         assert augment._record.labels is not None
         counts.append(launches.count)
-    assert counts[2] - counts[1] < 48  # images: which turns these take is drawn, and where all boxes stay nothing is copied
+    assert (
+        counts[2] - counts[1] < 48
+    )  # images: which turns these take is drawn, and where all boxes stay nothing is copied
 
 
 def test_labels_of_another_number_are_refused():
@@ -133,10 +135,9 @@ def test_labels_of_another_number_are_refused():
 
 
 @pytest.mark.tracing
-def test_graphs_have_masks_boxes_and_points():
-    augment = A.AugmentationSequential(
-        *AUGMENTATIONS["affine"](), data_keys=["input", "mask", "bbox_xyxy", "keypoints"]
-    )
+@pytest.mark.parametrize("name", ["affine", "crop of a window"])
+def test_graphs_have_masks_boxes_and_points(name):
+    augment = A.AugmentationSequential(*AUGMENTATIONS[name](), data_keys=["input", "mask", "bbox_xyxy", "keypoints"])
     images = pictures("cpu")
     masks, boxes, *_, points = labels_of(images)
     compiled = torch.compile(augment, fullgraph=True, backend="aot_eager")

@@ -32,6 +32,17 @@ AUGMENTATIONS = {
     "objects": lambda: [A.MaskDropout((1, 9), 0.5, p=0.7)],
     "objects, masks kept": lambda: [A.MaskDropout((1, 9), 0.5, fill_mask=None, p=0.7)],
     "objects, noise": lambda: [A.MaskDropout((1, 9), "random", p=0.7)],
+    "late crop": lambda: [
+        A.RandomHorizontalFlip(),
+        A.ColorJitter(0.2, 0.2),
+        A.RandomResizedCrop((24, 20)),
+        A.RandomErasing(),
+    ],
+    "late resize": lambda: [A.RandomAffine(20.0), A.Resize((30, 26), antialias=True), A.CoarseDropout(p=1.0)],
+    "late padding": lambda: [A.LongestMaxSize(40), A.RandomVerticalFlip(), A.PadTo((48, 44)), A.RandomAffine(20.0)],
+    "map": lambda: [A.RandomElasticTransform((5, 5), (2.0, 2.0), p=0.7)],
+    "map of a formula": lambda: [A.RandomHorizontalFlip(), A.GridDistortion(p=0.7), A.RandomErasing(p=1.0)],
+    "map of a crop": lambda: [A.RandomHorizontalFlip(), A.CenterCrop((24, 20)), A.RandomThinPlateSpline(p=1.0)],
     "objects, another value": lambda: [A.MaskDropout((1, 9), 0.5, fill_mask=-1.0, p=0.7)],
 }
 TYPES = (torch.uint8, torch.bool, torch.int8, torch.int16, torch.int32, torch.int64, torch.float32, torch.float16)
@@ -64,7 +75,7 @@ def test_masks_follow_as_alone(name, dtype, reading, device):
         assert moved[b].dtype == dtype and torch.equal(moved[b], own[0])
 
 
-@pytest.mark.parametrize("dtype", [torch.uint8, torch.bool, torch.float32], ids=str)
+@pytest.mark.parametrize("dtype", [torch.uint8, torch.bool, torch.int64, torch.float32], ids=str)
 @pytest.mark.parametrize("name", [name for name in AUGMENTATIONS if "some" not in name and "value" not in name])
 def test_launches_do_not_depend_on_the_number_of_masks(name, dtype, backend):
     if backend == "reference":

@@ -88,7 +88,8 @@ class Moves(NamedTuple):
     def stages(self, device: torch.device) -> tuple[list[Stage], SizeOfEach]:
         """The same as stages of all images, and the sizes of results."""
         count = len(self.after) // 2
-        has_moved, stages, is_partial = [False] * count, list[Stage](), any(m.samples is not None for m in self.moves)
+        has_moved, is_partial = [False] * count, any(move.samples is not None for move in self.moves)
+        stages: list[Stage] = []
         for matrix, before, samples in self.moves:
             bounds: list[bool] | None = None
             if is_partial:

@@ -13,7 +13,7 @@ from kvision._constants import on_device
 from kvision.augmentation import labels
 from kvision.augmentation.engine.label_settings import MaskReading
 from kvision.augmentation.engine.stages import ByMatrix, Stage, Warp
-from kvision.augmentation.maps import exact, warp_each
+from kvision.augmentation.maps import exact, exact_each, warp_each
 from kvision.core.exceptions import ShapeError
 
 
@@ -72,7 +72,7 @@ class ListWarp(Warp):
     def move_masks(self, masks: Any, reading: MaskReading) -> Any:
         """Masks (1, H, W) of each image as a batch."""
         resampling = self.resampling.for_labels(reading.mode, reading.fill)
-        return warp_each([exact(m) for m in masks], self.matrix, list(self.size), resampling)[0].to(masks[0].dtype)
+        return warp_each(exact_each(masks), self.matrix, list(self.size), resampling)[0].to(masks[0].dtype)
 
     def move_masks_back(self, masks: Tensor) -> Any:
         back = warp_each(list(exact(masks)), self.matrix, self.sides, self.resampling.for_inverse("nearest"), False)

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from kvision._dtype import as_dtype, compute_dtype
-from kvision.augmentation.maps import exact, warp_each
+from kvision.augmentation.maps import as_type_of_each, exact_each, warp_each
 from kvision.augmentation.sample_rows import index_of
 from kvision.geometry.transform.lists.arguments import sizes
 
@@ -47,10 +47,10 @@ def warped_masks(masks: list[Tensor], matrix: Tensor, size: Sequence[int], resam
     """Masks (N, H, W) warped by matrices (B, 3, 3), to the height and width of each."""
     first = masks[0]
     is_bits = first.dtype == torch.bool and resampling.mode == "nearest" and resampling.fill is None
-    values = [m.view(torch.uint8) if is_bits else exact(m) for m in masks]
+    values = [m.view(torch.uint8) for m in masks] if is_bits else exact_each(masks)
     moved = warp_each(values, matrix, size, resampling)
     moved = [moved[0][0]] if moved[0].dim() == 4 else moved  # of a list of one image
-    return [m.view(torch.bool) if is_bits else as_dtype(m, first.dtype) for m in moved]
+    return [m.view(torch.bool) for m in moved] if is_bits else as_type_of_each(moved, first.dtype)
 
 
 def move_masks(masks: list[Tensor], run: Any, reading: Any) -> list[Tensor] | None:
@@ -80,8 +80,11 @@ def _moved(
     """The same of masks of one N: those of all images, or of the images whose numbers are `owners`."""
     if any(m._is_overridden("apply_transform_mask") for m in run.modules):
         return None
-    for numbers, matrix, resampling, _, size in steps:
+    for numbers, matrix, resampling, before, size in steps:
         module = run.modules[numbers[0]]
+        if matrix is None and module.moves_by_map:
+            masks = module._displace_mask_list(masks, owners, before, run.execution(numbers[0]), reading)
+            continue
         if matrix is None:
             moved = module._move_mask_list(masks, run.execution(numbers[0], owners), reading.fill)
             if moved is None:

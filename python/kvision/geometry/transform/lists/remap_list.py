@@ -38,6 +38,12 @@ def unpacked(maps: Tensor, sides: Sequence[int], channels: int = 2) -> list[Tens
     return [own[: channels * h * w].view(channels, h, w) for own, h, w in each]
 
 
+def repeated(maps: Tensor, sides: Sequence[int], samples: Sequence[int]) -> Tensor:
+    """The maps of samples, some of them several times, of the maps for height and width of each."""
+    each = maps.split(_counts(sides, 2))
+    return torch.cat([each[i] for i in samples])
+
+
 def _counts(sides: Sequence[int], channels: int) -> list[int]:
     return [channels * h * w + -channels * h * w % _UNIT for h, w in zip(sides[::2], sides[1::2])]
 

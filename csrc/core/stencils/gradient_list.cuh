@@ -17,14 +17,15 @@ __device__ __forceinline__ auto sample_of_block(List const& p, unsigned& block) 
   using Gradient = decltype(p.sample(0));
   __shared__ __align__(16) unsigned char memory[sizeof(Gradient)];
   int const b = p.sample_of(int(blockIdx.x));
-  if (threadIdx.x == 0) new (memory) Gradient(p.sample(b));
+  unsigned const thread = threadIdx.y * blockDim.x + threadIdx.x;
+  if (thread == 0) new (memory) Gradient(p.sample(b));
   block = blockIdx.x - unsigned(p.first[b]);
   __syncthreads();
   auto const* const one = reinterpret_cast<Gradient const*>(memory);
   if (!p.copies(b)) return one;
   int64_t const blocks = p.end_of(b) - p.first[b], rows = one->x.rows(), height = one->x.height;
   for (int64_t r = rows * block / blocks; r < rows * (block + 1) / blocks; ++r)
-    copy_gradients<List::kAsStored>(*one, r / height, r % height, threadIdx.x, blockDim.x);
+    copy_gradients<List::kAsStored>(*one, r / height, r % height, thread, blockDim.x * blockDim.y);
   return nullptr;
 }
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import operator
 from collections.abc import Callable
+from itertools import accumulate
 from typing import Any
 
 import torch
@@ -154,14 +155,28 @@ def _erase_each(x: Tensor, rows: list[dict[str, Any]]) -> Any:
         for i, row in enumerate(rows):
             output[i, :, row["i"] : row["i"] + row["h"], row["j"] : row["j"] + row["w"]] = row["v"]
         return output
-    color = rows[0]["v"]
-    if any(row["v"] is not color for row in rows):  # noise
-        return NotImplemented
-    top, left, height, width = on_device([*map(operator.itemgetter(*"ijhw"), rows)], x.device).T[..., None]
+    return _fill_windows(x, rows)
+
+
+def _fill_windows(x: Tensor, rows: list[dict[str, Any]]) -> Tensor:
+    """Set a window of each image to its value, without a launch for each."""
+    color, sizes = rows[0]["v"], [row["h"] * row["w"] for row in rows]
+    is_noise = any(row["v"] is not color for row in rows)
+    firsts = [0, *accumulate(x.shape[1] * size for size in sizes[:-1])]
+    numbers = [(*operator.itemgetter(*"ijhw")(row), first) for row, first in zip(rows, firsts)]
+    top, left, height, width, first = on_device(numbers, x.device).T[..., None]
     y, column = (torch.arange(n, device=x.device) for n in x.shape[-2:])
     is_row, is_column = (y >= top) & (y < top + height), (column >= left) & (column < left + width)
-    fill = on_device(color.to(x.dtype), x.device)
-    return torch.where(is_row[:, None, :, None] & is_column[:, None, None], fill, x)
+    is_inside = is_row[:, None, :, None] & is_column[:, None, None]
+    if not is_noise:
+        return torch.where(is_inside, on_device(color.to(x.dtype), x.device), x)
+    # The noise of all windows is one row, which each pixel of them reads.
+    noise = [row["v"].expand(x.shape[1], row["h"], row["w"]).flatten() for row in rows]
+    values = on_device(torch.cat(noise).to(x.dtype), x.device)
+    of_row = ((y - top) * width)[:, None, :, None] + (column - left)[:, None, None]
+    channel = torch.arange(x.shape[1], device=x.device)[:, None, None]
+    at = first[..., None, None] + channel * (height * width)[..., None, None] + of_row
+    return torch.where(is_inside, values[torch.where(is_inside, at, 0)], x)
 
 
 @functional(each=_erase_each)

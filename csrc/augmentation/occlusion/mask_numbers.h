@@ -13,15 +13,16 @@ enum class MaskType : int { uint8, int8, int16, int32, int64, float16, bfloat16,
 template <class T>
 struct MaskNumbers {
   ListedImage masks[kMaxListed];
-  T *y, *widths;  // (B, N, H, W), 0 beyond each mask; (B,)
-  MaskType type;
+  int mask_channels[kMaxListed];
+  int8_t types[kMaxListed];  // MaskType
+  T *y, *widths;             // (B, N, H, W), 0 beyond each mask; (B,)
   int count, channels, height, width;
 
   KV_HD int64_t pixels() const { return channels * int64_t(height) * width; }
 
   // Floats by their bits: -0 is 0.
   static KV_HD T of_float(float x) { return x == 0 ? 0 : T(int32_t(float_to_bits(x))); }
-  KV_HD T number(void const* data, int64_t at) const {
+  static KV_HD T number(MaskType type, void const* data, int64_t at) {
     switch (type) {
       case MaskType::uint8:
         return static_cast<uint8_t const*>(data)[at];
@@ -50,7 +51,8 @@ struct MaskNumbers {
     ListedImage const& mask = masks[b];
     int64_t const column = i % width, row = i / width % height, channel = i / width / height;
     int64_t const at = channel * mask.channel_stride + row * mask.row_stride + column * mask.step;
-    y[b * pixels() + i] = row < mask.height && column < mask.width ? number(mask.data, at) : 0;
+    bool const exists = channel < mask_channels[b] && row < mask.height && column < mask.width;
+    y[b * pixels() + i] = exists ? number(MaskType(types[b]), mask.data, at) : 0;
   }
 };
 

@@ -5,7 +5,8 @@ import warnings
 import pytest
 import torch
 
-from augmentation.container.test_list_launches import Launches
+from augmentation.container.test_list_launches import SIZES as SIZES_OF_OBJECTS
+from augmentation.container.test_list_launches import Launches, calls
 from augmentation.test_lists import SIZES, pictures, seeds_of
 from kvision import augmentation as A
 
@@ -97,6 +98,26 @@ def test_masks_without_channels_get_one(device):
     _, moved = augment(images, masks, seed=3)
     _, expected = augment(images, [m[None] for m in masks], seed=3)
     assert all(map(torch.equal, moved, expected)) and moved[0].dim() == 3
+
+
+COUNTS = {"regions": (1, 1, 0, 1, 1, 1), "both": (1, 2, 0, 3, 1, 2), "instances": (2, 3, 4, 2, 5, 2)}
+
+
+@pytest.mark.parametrize("fill", [0.5, "random"])
+@pytest.mark.parametrize("counts", COUNTS)
+def test_objects_of_masks_of_several_types_and_numbers(counts, fill, device, backend):
+    images, types = pictures(device, SIZES_OF_OBJECTS), TYPES[: len(SIZES_OF_OBJECTS)]
+    masks = [
+        m.repeat(n, 1, 1).cumsum(-1).to(dtype)
+        for m, n, dtype in zip(masks_of(images, torch.uint8), COUNTS[counts], types)
+    ]
+    drop, seeds = A.MaskDropout((1, 3), fill, p=0.8), seeds_of(images)
+    results = drop(images, masks=masks, seed=seeds)
+    for b, x in enumerate(images):
+        alone = drop(x[None], masks=[masks[b]], seed=seeds[b : b + 1])
+        assert torch.equal(results[b], alone[0])
+    if backend != "reference":
+        assert calls(drop, images, masks=masks, seed=seeds) <= 5 + (counts == "both")
 
 
 def test_masks_that_do_not_fit_are_named():

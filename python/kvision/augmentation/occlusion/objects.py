@@ -63,7 +63,7 @@ drop_objects = register(
     labels=True,
     casts_outputs=True,
 )
-# Masks (N, h, w) or (h, w) of one type as int64 (B, N, height, width), and their widths (B,).
+# Masks (N, h, w) or (h, w) as int64 (B, most N, height, width), and their widths (B,).
 _number_masks = FastPath(
     "number_masks",
     (torch.bool, torch.uint8, torch.int8, torch.int16, torch.int32, torch.int64, *FLOATS),
@@ -156,15 +156,20 @@ class MaskDropout(DropoutBase, keeps_contract=True):
         batch = None if masks is None or execution.columns is None else masks_as_batch(masks, tuple(x.shape))
         if batch is None or 0 in batch.shape:
             return torch.zeros((len(x), 1, *x.shape[-2:]), dtype=torch.bool, device=x.device)
-        batch = _as_integers(batch.to(x.device))
-        counts = [len(m) for m in masks] if batch.shape[1] > 1 and isinstance(masks, (list, tuple)) else []
-        if 1 not in counts:
-            return self._dropped_of(batch, _regions(batch), execution)
+        counts = [len(m) for m in masks] if isinstance(masks, (list, tuple)) else []
+        return self._dropped_among(_as_integers(batch.to(x.device)), counts, execution)
+
+    def _dropped_among(
+        self, masks: Tensor, counts: Sequence[int], execution: Execution, widths: Tensor | None = None
+    ) -> Tensor:
+        """The same by masks (B, N, H, W) int64, whose first ones are those of each image, as many as `counts`."""
+        if masks.shape[1] == 1 or 1 not in counts:
+            return self._dropped_of(masks, _regions(masks), execution, widths)
         # Images with a mask of one channel are among others with more.
-        first, has_one = batch[:, :1].contiguous(), torch.tensor([n == 1 for n in counts], device="cpu")
-        has_one = rows_on_device(has_one[:, None], batch, torch.bool)[:, :, None, None]
-        of_regions = self._dropped_of(first, _regions(first), execution)
-        return torch.where(has_one, of_regions, self._dropped_of(batch, None, execution))
+        first, has_one = masks[:, :1].contiguous(), torch.tensor([n == 1 for n in counts], device="cpu")
+        has_one = rows_on_device(has_one[:, None], masks, torch.bool)[:, :, None, None]
+        of_regions = self._dropped_of(first, _regions(first), execution, widths)
+        return torch.where(has_one, of_regions, self._dropped_of(masks, None, execution, widths))
 
     def _dropped_of(
         self, masks: Tensor, components: Tensor | None, execution: Execution, widths: Tensor | None = None
@@ -182,25 +187,24 @@ class MaskDropout(DropoutBase, keeps_contract=True):
     # --- lists ---
 
     def _takes_masks(self, images: Sequence[Tensor], context: Any) -> bool:
-        """Whether the masks of a call on a list are one of each image, of one type and number of channels, or none."""
+        """Whether the masks of a call on a list are one of each image, on one device, or none."""
         masks = _masks_of(context)
         if masks is None:
             return True
         if not isinstance(masks, (list, tuple)) or len(masks) != len(images) or {*map(type, masks)} != {Tensor}:
             return False
-        kinds = {(m.dtype, m.device, m.shape[:-2]) for m in masks}
-        return len(kinds) == 1 and all(
-            m.dim() in (2, 3) and m.shape[-2:] == x.shape[-2:] for m, x in zip(masks, images)
-        )
+        fit = all(m.dim() in (2, 3) and m.shape[-2:] == x.shape[-2:] for m, x in zip(masks, images))
+        return fit and len({m.device for m in masks}) == 1
 
     def _find_in_list(self, images: Sequence[Tensor], execution: Execution, context: Any) -> Tensor:
         """The pixels (B, 1, H, W) of the objects that are dropped from a list, of the largest sides."""
         masks, (_, _, height, width) = _masks_of(context), largest_shape(images)
         _warn_without(masks)
         dropped = torch.zeros(len(images), 1, height, width, dtype=torch.bool, device=images[0].device)
-        if masks is not None and execution.columns is not None and 0 not in masks[0].shape:
+        counts = [] if masks is None else _channels_of(masks)
+        if any(counts) and execution.columns is not None:
             padded, widths = _padded(masks, height, width, images[0].device)
-            dropped = self._dropped_of(padded, _regions(padded), execution, widths)
+            dropped = self._dropped_among(padded, counts, execution, widths)
             if execution.chosen is not None:
                 dropped = dropped & execution.chosen[:, None, None, None]
         execution.found = self._found(dropped)
@@ -241,6 +245,10 @@ def _warn_without(masks: Any) -> None:
         )
 
 
+def _channels_of(masks: Sequence[Tensor]) -> list[int]:
+    return [mask.shape[0] if mask.dim() == 3 else 1 for mask in masks]
+
+
 def _regions(masks: Tensor) -> Tensor | None:
     """The numbers (B, 1, H, W) of the regions of masks (B, N, H, W) of one channel; None for those of several."""
     return connected_components((masks != 0).view(torch.uint8)) if masks.shape[1] == 1 else None
@@ -254,21 +262,20 @@ def _as_integers(masks: Tensor) -> Tensor:
 
 
 def _padded(masks: Sequence[Tensor], height: int, width: int, device: torch.device) -> tuple[Tensor, Tensor]:
-    """Masks (N, h, w) or (h, w) of any type as (B, N, H, W) int64, 0 beyond each, and the widths (B,)."""
-    if _number_masks.serves(masks[0]) and masks[0].device == device:
+    """Masks (N, h, w) or (h, w) of any types as (B, most N, H, W) int64, 0 beyond each, and the widths (B,)."""
+    if all(_number_masks.serves(mask) for mask in masks) and masks[0].device == device:
         numbers: tuple[Tensor, Tensor] = _number_masks.kernel(list(masks), height, width)
         return numbers
     # They are joined, and then each pixel reads its number.
-    channels = masks[0].shape[0] if masks[0].dim() == 3 else 1
-    begins, rows = 0, []
-    for mask in masks:
-        rows.append((*mask.shape[-2:], begins))
+    counts, begins, rows = _channels_of(masks), 0, []
+    for mask, channels in zip(masks, counts):
+        rows.append((*mask.shape[-2:], begins, channels))
         begins += mask.numel()
-    joined = _as_integers(torch.cat([mask.flatten() for mask in masks]).to(device))
+    joined = torch.cat([_as_integers(mask.flatten().to(device)) for mask in masks])
     of_each = rows_on_device(torch.tensor(rows, device="cpu"), joined, torch.int64)
-    h, w, begin = (n[:, None, None, None] for n in of_each.unbind(1))
-    channel, y, x = (torch.arange(n, device=device) for n in (channels, height, width))
+    h, w, begin, count = (n[:, None, None, None] for n in of_each.unbind(1))
+    channel, y, x = (torch.arange(n, device=device) for n in (max(counts), height, width))
     y, channel = y[:, None], channel[:, None, None]
-    is_inside = (y < h) & (x < w)
+    is_inside = (y < h) & (x < w) & (channel < count)
     at = torch.where(is_inside, begin + (channel * h + y) * w + x, 0)
     return torch.where(is_inside, joined[at], 0), of_each[:, 1]

@@ -23,13 +23,14 @@ constexpr int64_t kShared = 110000;          // bytes of a block, at most
 
 // What all blocks of a launch share. Parts of shared memory begin at bytes.
 struct ByteTiles {
-  int across, down;    // patches
-  int strip;           // tiles one below the other of a block
-  int group;           // merge, if tiles are whole blocks of patches, or 1
-  int vector;          // bytes of a vector of the result
-  uint32_t per_plane;  // 2^32 over the vectors of a plane of a patch, rounded up
-  int steps;           // of 16 columns of the image that 16 of the result read
-  int chunks;          // of the image that a tile reads, at most
+  int across, down;              // patches
+  int strip;                     // tiles one below the other of a block
+  int group;                     // merge, if tiles are whole blocks of patches, or 1
+  unsigned per_size, per_group;  // 2^16 over these, rounded up
+  int vector;                    // bytes of a vector of the result
+  uint32_t per_plane;            // 2^32 over the vectors of a plane of a patch, rounded up
+  int steps;                     // of 16 columns of the image that 16 of the result read
+  int chunks;                    // of the image that a tile reads, at most
   int x_weights, patches;
   int buffer;  // bytes of the patches of a tile, if there is room for those of two, or 0
   int bytes;
@@ -99,24 +100,25 @@ __global__ void __launch_bounds__(kThreads, blocks_at_once(Steps, Planes))
   double const scale_y = axis_y.scale();
   float const per_unit_y = float(1 / max(scale_y, 1.));
 
+  auto const over = [](int x, unsigned per) { return int(unsigned(x) * per >> 16); };  // of few pixels or patches
   // Where columns and rows are in the patches. Those after the last one are as it is, so that all are stored.
   int const row_elements = p.repeats ? size : size * channels, tile_rows = tiles.down * size;
   uint32_t row_at[4];  // of rows lane / 4 + 8 n
 #pragma unroll
   for (int n = 0; n < 4; ++n) {
-    int const y = min(lane / 4 + 8 * n, tile_rows - 1), i = y / size;
+    int const y = min(lane / 4 + 8 * n, tile_rows - 1), i = over(y, tiles.per_size), above = over(i, tiles.per_group);
     row_at[n] =
         opaque(shared_address(memory + tiles.patches) +
-               kSize * ((i / group * across * group + i % group * group) * elements + (y - i * size) * row_elements));
+               kSize * ((above * across + i - above * group) * group * elements + (y - i * size) * row_elements));
   }
   bool const by_pairs = p.repeats && size % 2 == 0, has_columns = x0 < columns;
   auto const column_of_tile = [&](int x) { return min(x, by_pairs ? columns - 2 + x % 2 : columns - 1); };
   uint32_t at[4];  // bytes before columns x0 + 2 t, x0 + 2 t + 1, and 8 further
 #pragma unroll
   for (int e = 0; e < 4; ++e) {
-    int const x = column_of_tile(x0 + lane % 4 * 2 + e % 2 + e / 2 * 8), j = x / size, column = x - j * size;
-    at[e] =
-        opaque(kSize * ((j / group * group * group + j % group) * elements + (p.repeats ? column : column * channels)));
+    int const x = column_of_tile(x0 + lane % 4 * 2 + e % 2 + e / 2 * 8), j = over(x, tiles.per_size);
+    int const before = over(j, tiles.per_group), column = x - j * size;
+    at[e] = opaque(kSize * ((before * (group - 1) * group + j) * elements + (p.repeats ? column : column * channels)));
   }
   if (thread < channels) {
     float const factor = -512 * p.scale[thread];  // of levels in 1 / 512
@@ -345,6 +347,7 @@ ByteTiles tiles_of(VisionPatches<uint8_t> const& p, PatchImage const* images, in
     int64_t const unit = int64_t(sizeof(U)) * (p.repeats > 1        ? size * size
                                                : t.group == p.merge ? t.group * t.group * p.patch_elements()
                                                                     : p.patch_elements());
+    t.per_size = unsigned(ceil_div(1 << 16, size)), t.per_group = unsigned(ceil_div(1 << 16, t.group));
     t.vector = unit % 16 == 0 ? 16 : unit % 8 == 0 ? 8 : int(sizeof(U));
     int64_t const plane_vectors = ceil_div(int64_t(sizeof(U)) * size * size, t.vector);
     t.per_plane = uint32_t(ceil_div(int64_t(1) << 32, max(plane_vectors, int64_t(2))));

@@ -141,12 +141,22 @@ __device__ __forceinline__ uint32_t high_pair(uint32_t bytes) { return __byte_pe
 
 // --- weights ---------------------------------------------------------------------------------------------------------
 
-// Of bilinear or bicubic filters, without branches.
-__device__ __forceinline__ float weight_at(bool bilinear, float x) {
-  x = fminf(fabsf(x), 2);
-  if (bilinear) return fmaxf(1 - x, 0);
-  return x < 1 ? cubic_inner(-0.5f, x) : cubic_outer(-0.5f, x - 1, 2 - x);
-}
+// A bilinear or bicubic filter without branches: polynomials of |x| below 1 and from there to 2.
+struct Filter {
+  float inner[4], outer[4];
+  __device__ __forceinline__ explicit Filter(geometry::ResizeFilter filter)
+      : inner{1.5f, -2.5f, 0, 1}, outer{-0.5f, 2.5f, -4, 2} {
+    if (filter == geometry::ResizeFilter::bilinear)
+      inner[0] = inner[1] = 0, inner[2] = -1, outer[0] = outer[1] = outer[2] = outer[3] = 0;
+  }
+  __device__ __forceinline__ float operator()(float x) const {
+    x = fminf(fabsf(x), 2);
+    float y = x < 1 ? inner[0] : outer[0];
+#pragma unroll
+    for (int i = 1; i < 4; ++i) y = y * x + (x < 1 ? inner[i] : outer[i]);
+    return y;
+  }
+};
 
 __device__ __forceinline__ float as_half(float x) { return read(round_to_half(x)); }
 // The tap that is farthest from the center, which is `-start` taps after the first one.
@@ -167,7 +177,7 @@ __device__ __forceinline__ void find_x_weights(Axis const& axis, int const (&col
                                                bool split, F store) {
   double const scale = axis.scale();
   float const per_unit = float(1 / max(scale, 1.));
-  bool const bilinear = axis.filter == geometry::ResizeFilter::bilinear;
+  Filter const filter(axis.filter);
   int begin[2], count[2];
   float start[2];
 #pragma unroll
@@ -178,7 +188,7 @@ __device__ __forceinline__ void find_x_weights(Axis const& axis, int const (&col
   }
   auto const weight = [&](int s, int n) {
     int const i = n / 4, k = column_of<Steps>(s, split) + n % 4 - begin[i];
-    return unsigned(k) < unsigned(count[i]) ? weight_at(bilinear, (start[i] + k) * per_unit) : 0.f;
+    return unsigned(k) < unsigned(count[i]) ? filter((start[i] + k) * per_unit) : 0.f;
   };
   float kept[Steps > 0 ? Steps : 1][8]{};
   if constexpr (Steps > 0)
@@ -228,7 +238,7 @@ struct TileRows {
 // result and of it, and lane. Rows after the last one are as it is. By a warp, a row each lane.
 __device__ __forceinline__ void write_y_weights(Axis const& axis, double scale, float per_unit, int first_row, int rows,
                                                 unsigned char* weights, int bytes, TileRows& of_tile) {
-  bool const bilinear = axis.filter == geometry::ResizeFilter::bilinear;
+  Filter const filter(axis.filter);
   int const lane = int(threadIdx.x % 32);
 #pragma unroll 1
   for (int t = 16 * lane; t < bytes; t += 16 * 32) *reinterpret_cast<uint4*>(weights + t) = uint4{};
@@ -238,7 +248,7 @@ __device__ __forceinline__ void write_y_weights(Axis const& axis, double scale, 
   int const top = __shfl_sync(0xffffffffu, first, 0);
   if (lane == 31) of_tile = {top, first + count - top};
   float const start = float(first - center);
-  auto const weight = [&](int k) { return weight_at(bilinear, (start + k) * per_unit); };
+  auto const weight = [&](int k) { return filter((start + k) * per_unit); };
   float sum = 0, rest = 1;
 #pragma unroll 1
   for (int k = 0; k < count; ++k) sum += weight(k);

@@ -138,16 +138,20 @@ def test_passes_over_a_list(name, dtype, channels, device):
 def test_noise_of_a_list(name, dtype, device):
     """That of each image alone under its seed, and of a batch under one seed; parameters, masks and a replay have it, too."""
     augment, images = A.AugmentationSequential(*NOISES[name](), data_keys=["input"]), pictures(device, SMALL, dtype)
-    seeds = seeds_of(images)
+    seeds, rounding = seeds_of(images), (0, 1) if dtype == torch.uint8 else (2e-3, 2e-3)
     for given in (images, [x.permute(1, 2, 0).contiguous().permute(2, 0, 1) for x in images]):
         results = augment(given, seed=seeds)
         assert is_by_passes(augment)
         params = augment._params
         for b, x in enumerate(given):
-            assert same(results[b], augment(x[None], seed=seeds[b : b + 1])[0])
+            alone = augment(x[None], seed=seeds[b : b + 1])[0]
+            if name == "waves" and alone.is_cuda:  # maps of different sizes are sums in another order than a batch's
+                assert_close(results[b], alone, *rounding)
+            else:
+                assert same(results[b], alone)
         replayed = augment(given, params=params)
         for a, b in zip(results, replayed):
-            assert_close(a, b, *((0, 1) if dtype == torch.uint8 else (2e-3, 2e-3)))
+            assert_close(a, b, *rounding)
     equal = [x[:, :15, :16].contiguous() for x in images]
     for options in ({"seed": 3}, {}):
         torch.manual_seed(0)
@@ -156,7 +160,7 @@ def test_noise_of_a_list(name, dtype, device):
         batch = augment(torch.stack(equal), **options)
         assert all(same(a, b) for a, b in zip(results, batch))
         for a, b in zip(augment(equal, params=params), batch):
-            assert_close(a, b, *((0, 1) if dtype == torch.uint8 else (2e-3, 2e-3)))
+            assert_close(a, b, *rounding)
 
 
 def test_masks_of_erased_images_of_a_list(device):

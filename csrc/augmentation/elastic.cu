@@ -16,7 +16,7 @@ constexpr int kPitch = kTileWidth + 4;           // of rows filtered along x: ei
 
 struct ElasticMemory {
   alignas(16) float filtered[kTileHeight + kMaxElasticTaps - 1][kPitch];
-  float noise[32][kNoisePitch];
+  alignas(16) float noise[32][kNoisePitch];
   alignas(16) float kx[kMaxElasticTaps + 1], ky[kMaxElasticTaps + 1];
 };
 
@@ -60,17 +60,26 @@ __device__ __forceinline__ void set_weights(ElasticDisplacements const& p, int c
     if (t <= kMaxElasticTaps) memory.kx[t] = p.kx[t], memory.ky[t] = p.ky[t] * scale;
     return;
   }
-  auto const weight = [&](float sigma, int taps) {
-    return t < taps ? filters::tap_weight(filters::Taps<float>{nullptr, 0, sigma, taps, taps / 2, true, false}, 0, t)
-                    : 0.f;
-  };
-  float const x = weight(p.sigma[0], p.taps_x), y = weight(p.sigma[1], p.taps_y);
-  if (t <= kMaxElasticTaps) memory.kx[t] = x, memory.ky[t] = y;
+  // In double, as the host computes those of one size. The first warps have the weights of x, the next ones those of y.
+  constexpr int kWeights = kMaxElasticTaps + 1;
+  double* const weights = reinterpret_cast<double*>(memory.noise);
+  int const axis = t / kWeights, tap = t % kWeights;
+  double weight = 0;
+  if (axis < 2) {
+    int const taps = axis ? p.taps_y : p.taps_x;
+    if (tap < taps)
+      weight =
+          filters::tap_weight(filters::Taps<double>{nullptr, 0, p.sigma[axis], taps, taps / 2, true, false}, 0, tap);
+    weights[t] = weight;
+  }
   __syncthreads();
-  float sum_x = 0, sum_y = 0;
-  for (int i = 0; i <= kMaxElasticTaps; ++i) sum_x += memory.kx[i], sum_y += memory.ky[i];
+  if (axis < 2) {
+    double sum = 0;
+    for (int i = 0; i < kWeights; ++i) sum += weights[axis * kWeights + i];
+    float const normalized = float(weight / sum);
+    axis ? memory.ky[tap] = normalized * scale : memory.kx[tap] = normalized;
+  }
   __syncthreads();
-  if (t <= kMaxElasticTaps) memory.kx[t] = x / sum_x, memory.ky[t] = y / sum_y * scale;
 }
 
 // A strip of a plane. Drawn: the noise is drawn, not read. Aligned: rows are multiples of four pixels.

@@ -23,15 +23,13 @@ struct ElasticDisplacements {
   float ky[kMaxElasticTaps + 1], kx[kMaxElasticTaps + 1];  // weights, followed by zeros
   float scale[2];    // of x and of y; the noise has one itself where it has parameters
   bool is_mirrored;  // out of bounds
-  float sigma[2];    // not 0: of x and of y, by which the kernel computes the weights
+  double sigma[2];   // not 0: of x and of y, by which the kernel computes the weights
 };
 
 // Maps of a list, in one block of memory, of drawn noise. Those of samples that are not chosen, by the noise, are 0.
 struct ElasticDisplacementsList {
   ElasticDisplacements all;
-  double half[2];  // the scales are half the width and half the height less `less`, times so much
-  double less;
-  double sigma_of_side;  // or 0; the windows of `all` are the largest
+  filters::SideBlur by_sides;  // the windows of `all` are the largest, or those of all
   ListedMaps list;
 
   KV_HD ElasticDisplacements sample(int b) const {
@@ -41,10 +39,11 @@ struct ElasticDisplacementsList {
     one.noise.y += int64_t(kMapUnit) * list.begin[b];
     one.height = list.height[b], one.width = list.width[b];
     one.noise.pixels = one.noise.channel_stride = int64_t(one.height) * one.width;
-    one.scale[0] = float(half[0] * (one.width - less) / 2), one.scale[1] = float(half[1] * (one.height - less) / 2);
-    if (sigma_of_side != 0) {
-      filters::Taps<float> x, y;
-      x.set_gaussian(sigma_of_side * one.width), y.set_gaussian(sigma_of_side * one.height);
+    one.scale[0] = float(by_sides.factor(by_sides.x, one.width, one.height, one.width));
+    one.scale[1] = float(by_sides.factor(by_sides.y, one.height, one.height, one.width));
+    if (by_sides.x.follows) {
+      filters::Taps<double> x, y;
+      by_sides.x.set(x, one.width), by_sides.y.set(y, one.height);
       one.taps_x = x.size, one.taps_y = y.size;
       one.sigma[0] = x.sigma, one.sigma[1] = y.sigma;
     }

@@ -19,12 +19,12 @@ void write_displacements(char const* op, Tensor const* noise, NoiseSource const*
                          Tensor const& result, std::optional<Tensor> const& chosen = {});
 
 #if defined(KV_CUDA)
-// Maps of a list of uniform noise, by its scale in parameters (B, 2), drawn and blurred by sigmas of `sigma` heights
-// and widths in one launch; nothing where no kernel serves them.
+// Maps of a list of uniform noise, by its scale in parameters (B, 2), drawn and blurred in one launch; nothing where no
+// kernel serves them.
 std::optional<Tensor> blurred_maps_of_sides(char const* op, Tensor const& parameters, Tensor const& keys,
                                             std::optional<Tensor> const& seeds, std::optional<Tensor> const& chosen,
                                             std::vector<int64_t> const& plan, std::vector<int64_t> const& sides,
-                                            double sigma, Border border);
+                                            filters::SideBlur const& blur, Border border);
 #endif
 
 }  // namespace kv::augmentation

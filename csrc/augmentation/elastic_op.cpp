@@ -1,19 +1,26 @@
 // Displacements of elastic transforms: schema and entry, for CPU and CUDA.
 #include "augmentation/elastic_glue.h"
+#include "augmentation/lists/list_steps.h"
 #include "augmentation/lists/listed_maps_glue.h"
 #include "filters/separable_glue.h"
 
 namespace kv::augmentation {
 namespace {
 
+// The parameters of noise in [-1, 1], (1, 2).
+Tensor standard_noise(Tensor const& like) {
+  Tensor const standard = empty({1, 2}, like);
+  Tensor scale = torch::stable::select(standard, 1, 1), mean = torch::stable::select(standard, 1, 0);
+  torch::stable::zero_(mean);
+  torch::stable::fill_(scale, 1);
+  return standard;
+}
+
 // Noise of the size and type of `like`, drawn in float32; 0 in samples that are not chosen.
 Tensor drawn_noise(Tensor const& like, NoiseSource const& source, std::optional<Tensor> const& chosen) {
-  Tensor const drawn = empty(like.sizes(), like, Layout::planar, ScalarType::Float);
-  Tensor zeros = empty(like.sizes(), drawn), standard = empty({1, 2}, drawn);
+  Tensor const drawn = empty(like.sizes(), like, Layout::planar, ScalarType::Float), standard = standard_noise(drawn);
+  Tensor zeros = empty(like.sizes(), drawn);
   torch::stable::zero_(zeros);
-  torch::stable::zero_(standard);
-  Tensor scale = torch::stable::select(standard, 1, 1);
-  torch::stable::fill_(scale, 1);
   PixelNoise<float> n;
   set_images(n, zeros, drawn, Layout::planar);
   source.set(n);
@@ -74,30 +81,51 @@ void draw_maps(char const* op, MapBlock const& block, Tensor const& result, Elas
 }
 #endif
 
+// The windows of a blur for images of a size.
+ElasticBlur blur_of_size(filters::SideBlur const& blur, int64_t height, int64_t width) {
+  filters::Taps<double> x{}, y{};
+  blur.x.set(x, width), blur.y.set(y, height);
+  double const scale_x = blur.factor(blur.x, width, height, width),
+               scale_y = blur.factor(blur.y, height, height, width);
+  return {y.size, x.size, y.sigma, x.sigma, {scale_x, scale_y}};
+}
+
+bool is_one_size(std::vector<int64_t> const& sides) {
+  for (size_t i = 2; i < sides.size(); ++i)
+    if (sides[i] != sides[i - 2]) return false;
+  return true;
+}
+
+#if defined(KV_CUDA)
+// The windows for the largest images of a list.
+ElasticBlur largest_blur(filters::SideBlur const& blur, std::vector<int64_t> const& sides) {
+  int64_t height = 1, width = 1;
+  for (size_t i = 0; i + 1 < sides.size(); i += 2)
+    height = std::max(height, sides[i]), width = std::max(width, sides[i + 1]);
+  return blur_of_size(blur, height, width);
+}
+#endif
+
 }  // namespace
 
 #if defined(KV_CUDA)
 std::optional<Tensor> blurred_maps_of_sides(char const* op, Tensor const& parameters, Tensor const& keys,
                                             std::optional<Tensor> const& seeds, std::optional<Tensor> const& chosen,
                                             std::vector<int64_t> const& plan, std::vector<int64_t> const& sides,
-                                            double sigma, Border border) {
-  int64_t longest = 1;
-  for (int64_t side : sides) longest = std::max(longest, side);
-  filters::Taps<double> largest{};
-  largest.set_gaussian(sigma * double(longest));
-  bool const fits = fits_kernel(parameters.scalar_type(), {largest.size, largest.size, 1, 1, {}});
+                                            filters::SideBlur const& blur, Border border) {
+  ElasticBlur const largest = largest_blur(blur, sides);
   // Sums of this kernel have another order than those of a batch, whose bits images of one size have.
-  bool is_one_size = true;
-  for (size_t i = 2; i < sides.size(); ++i) is_one_size = is_one_size && sides[i] == sides[i - 2];
-  if (!fits || is_one_size || (border != Border::reflect && border != Border::constant)) return {};
+  if (!fits_kernel(parameters.scalar_type(), largest) || is_one_size(sides) ||
+      (border != Border::reflect && border != Border::constant))
+    return {};
   MapBlock const block(op, parameters.size(0), sides);
   check_chosen(op, chosen, parameters);
   Tensor const scales = dense(parameters), result = block.empty_like(parameters);
   ElasticDisplacementsList p{};
   p.all.noise.parameters = data_ptr<float const>(scales), p.all.noise.parameter_stride = 2;
-  p.all.taps_y = p.all.taps_x = largest.size;
+  p.all.taps_y = int(largest.ky), p.all.taps_x = int(largest.kx);
   p.all.is_mirrored = border == Border::reflect;
-  p.sigma_of_side = sigma;
+  p.by_sides = blur;
   draw_maps(op, block, result, p, keys, seeds, chosen, plan);
   return result;
 }
@@ -153,11 +181,12 @@ Tensor elastic_displacements(Tensor const& noise, std::optional<Tensor> const& k
 }
 
 // Of drawn noise, maps of a list. `like` (B, 0) has the type and the device; the scales are half the width and half the
-// height, less half a pixel each with align_corners, times alpha.
+// height, less half a pixel each with align_corners, times alpha. Windows are those for images of `unit` pixels along
+// each side, and scale with the images, if it is not 0.
 Tensor elastic_displacements_list(Tensor const& like, Tensor const& keys, std::optional<Tensor> const& seeds,
                                   std::optional<Tensor> const& chosen, std::vector<int64_t> const& plan, int64_t ky,
                                   int64_t kx, double sigma_y, double sigma_x, double alpha_x, double alpha_y,
-                                  bool align_corners, std::vector<int64_t> const& sides) {
+                                  bool align_corners, int64_t unit, std::vector<int64_t> const& sides) {
   constexpr char const* op = "elastic_displacements_list";
   KV_CHECK(like.dim() == 2 && like.scalar_type() == compute_dtype(like), op,
            ": expected like of shape (B, 0), float32 or float64");
@@ -166,8 +195,15 @@ Tensor elastic_displacements_list(Tensor const& like, Tensor const& keys, std::o
   check_chosen(op, chosen, like);
   check_window(op, ky, kx);
   Tensor const result = block.empty_like(like);
-  double const less = align_corners ? 1 : 0;
-  ElasticBlur blur{ky, kx, sigma_y, sigma_x, {}};
+  KV_CHECK(unit >= 0, op, ": expected unit of at least 0");
+  double const each = unit > 0 ? 1 / double(unit) : 1;
+  auto const axis = [&](int64_t taps, double sigma, double alpha) {
+    return filters::SideGaussian{sigma * each, double(taps / 2) * each, taps > 1, unit > 0, alpha};
+  };
+  filters::SideBlur blur{axis(kx, sigma_x, alpha_x), axis(ky, sigma_y, alpha_y)};
+  blur.scales = true;
+  blur.less = align_corners ? 1 : 0, blur.unit = unit > 0 ? each : 0;
+  if (count > 0 && is_one_size(sides)) blur.x.fix(sides[1]), blur.y.fix(sides[0]);  // of the bits of a batch
   auto const map_of = [&](int64_t b) {
     return view_of(result, {1, 2, sides[size_t(2 * b)], sides[size_t(2 * b + 1)]}, block.begins[size_t(b)]);
   };
@@ -177,10 +213,16 @@ Tensor elastic_displacements_list(Tensor const& like, Tensor const& keys, std::o
     return torch::stable::narrow(all, 0, b, 1);
   };
 #if defined(KV_CUDA)
-  if (fits_kernel(like.scalar_type(), blur) && count > 0) {
+  if (like.scalar_type() == ScalarType::Float && count > 0) {
+    ElasticBlur const largest = largest_blur(blur, sides);
+    if (!fits_kernel(ScalarType::Float, largest)) {
+      Tensor const standard = standard_noise(like);
+      return steps::gaussian_blur_of_sides(
+          steps::drawn_noise(like, 2, sides, false, standard, keys, seeds, chosen, plan), blur, Border::constant);
+    }
     ElasticDisplacementsList p{};
-    set_blur(p.all, blur);
-    p.half[0] = alpha_x, p.half[1] = alpha_y, p.less = less;
+    set_blur(p.all, largest);
+    p.by_sides = blur;
     draw_maps(op, block, result, p, keys, seeds, chosen, plan);
     return result;
   }
@@ -193,10 +235,8 @@ Tensor elastic_displacements_list(Tensor const& like, Tensor const& keys, std::o
     Tensor const one = map_of(b);
     own[5] = first + b;
     std::optional<Tensor> const seed = row(seeds, b);
-    blur.scale[0] = alpha_x * (double(one.size(3)) - less) / 2,
-    blur.scale[1] = alpha_y * (double(one.size(2)) - less) / 2;
     NoiseSource const source{op, one, keys, seed, own};
-    write_displacements(op, nullptr, &source, blur, one, row(chosen, b));
+    write_displacements(op, nullptr, &source, blur_of_size(blur, one.size(2), one.size(3)), one, row(chosen, b));
   }
   return result;
 }
@@ -210,6 +250,6 @@ KV_OPERATOR(elastic_displacements,
             "float sigma_x, float scale_x, float scale_y) -> Tensor")
 KV_OPERATOR(elastic_displacements_list,
             "(Tensor like, Tensor keys, Tensor? seeds, Tensor? chosen, int[] plan, int ky, int kx, float sigma_y, "
-            "float sigma_x, float alpha_x, float alpha_y, bool align_corners, SymInt[] size) -> Tensor")
+            "float sigma_x, float alpha_x, float alpha_y, bool align_corners, int unit, SymInt[] size) -> Tensor")
 
 }  // namespace kv::augmentation

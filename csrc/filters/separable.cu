@@ -41,7 +41,7 @@ __device__ __forceinline__ void filter_any(Separable<T> const& p, unsigned block
   int64_t const down = (height + rows - 1) / rows, tile_row = block / across, plane = tile_row / down;
   int const y0 = int(tile_row - plane * down) * rows, y1 = min(y0 + rows, height);
   load_weights(p.kx, plane / p.planes, F(1), kx);
-  load_weights(p.ky, plane / p.planes, p.alpha, ky);
+  load_weights(p.ky, plane / p.planes, p.alpha_of(plane), ky);
 
   int64_t const e = (block - tile_row * across) * blockDim.x + threadIdx.x;
   if (e >= p.y.row_size()) return;
@@ -213,7 +213,7 @@ __device__ __forceinline__ void filter_tiles(Separable<T> const& p, unsigned blo
     columns[i] =
         i < min(kTileWidth, width - x0) + memory.kx - 1 ? border_index(p.border, x0 - p.kx.before + i, in_width) : -1;
   load_tile_weights(p.kx, int64_t(plane) / p.planes, 1.f, kx);
-  load_tile_weights(p.ky, int64_t(plane) / p.planes, p.alpha, ky);
+  load_tile_weights(p.ky, int64_t(plane) / p.planes, p.alpha_of(plane), ky);
   auto const is_end = [](int i, int n) { return i == 0 || i == n - 1; };
 
   for (int y = y0; y < y1; y += kTileHeight) {
@@ -430,7 +430,7 @@ int separable_list(SeparableList<T> const& p, CUstream_st* stream) {
         all.accumulation == Border::reflect && all.kx.gaussian && all.ky.gaussian && sizeof(T) > 1;
     if (all.accumulation == Border::constant || reflect_backward) {
       auto const fits_strips = [](Separable<T> const& one) { return supports_strips(one.x, one.ky.size, one.kx.size); };
-      if (all.sigma_of_side == 0 && all_samples(p, fits_strips)) {
+      if (!all.by_sides.is_used && all_samples(p, fits_strips)) {
         if constexpr (sizeof(T) > 1)
           if (reflect_backward) return separable_reflect_backward_strips(p, 1, stream);
         return separable_strips(p, 1, stream);

@@ -38,12 +38,6 @@ struct Taps {
   KV_HD void select(int64_t sample) {
     if (data) data += sample * stride;
   }
-  // The weights of a Gaussian of a sigma, in a window of three of it to each side.
-  KV_HD void set_gaussian(double of) {
-    sigma = F(of);
-    size = 2 * int(3 * of + 0.5) + 1;
-    before = size / 2;
-  }
   // How many pixels before and after the image the pass reads whose transpose this is.
   KV_HD int front() const { return size - 1 - before; }
   KV_HD int back() const { return before; }
@@ -79,6 +73,42 @@ KV_HD V quotient(V sum, F divisor, F reciprocal) {
 
 constexpr int kMaxTaps = 701;  // of the CUDA kernels: shared memory holds that many rows
 
+// A Gaussian along an axis of the images of a list. With `follows` sigma and radius are those of a side of 1.
+struct SideGaussian {
+  double sigma, radius = -1;  // of the window; -1: three sigmas
+  int least = 0;              // radius
+  bool follows = true;
+  double factor = 0;  // of values: SideBlur::factor
+
+  template <class F>
+  KV_HD void set(Taps<F>& taps, int64_t side) const {
+    double const n = follows ? double(side) : 1., own = sigma * n;
+    taps.sigma = F(own);
+    taps.before = radius < 0 ? int(3 * own + 0.5) : max(int(__builtin_rint(radius * n)), least);
+    taps.size = 2 * taps.before + 1;
+  }
+  // The same for a side.
+  void fix(int64_t side) {
+    Taps<double> taps{};
+    set(taps, side);
+    sigma = taps.sigma, radius = taps.before, follows = false;
+  }
+};
+
+// A blur of a list whose windows, and with `scales` factors of even and of odd planes, follow the sides of an image.
+struct SideBlur {
+  SideGaussian x, y;
+  bool is_used = false, scales = false;
+  double less = 0, unit = 0;
+
+  // Half a side, less `less` pixels, times axis.factor, and, if `unit` is not 0, times the root of so many heights and
+  // widths.
+  KV_HD double factor(SideGaussian const& axis, int64_t side, int64_t height, int64_t width) const {
+    double const own = axis.factor * (double(side) - less) / 2;
+    return unit == 0 ? own : own * __builtin_sqrt(double(height) * unit * (double(width) * unit));
+  }
+};
+
 template <class T>
 struct Separable {
   Planes<T const> x;
@@ -86,18 +116,20 @@ struct Separable {
   Taps<Compute<T>> kx, ky;
   int64_t planes;  // of a sample
   Compute<T> alpha, beta;
-  Border border;        // of x
-  Border accumulation;  // of the border, into the result, by transposes: replicate, reflect, or constant for none
-  // Not 0: in a list, Gaussians whose sigmas are so many widths and heights of an image. Those of `kx` and `ky` are the
-  // largest.
-  double sigma_of_side = 0;
+  Border border;           // of x
+  Border accumulation;     // of the border, into the result, by transposes: replicate, reflect, or constant for none
+  SideBlur by_sides = {};  // of lists; the windows of `kx` and `ky` are the largest then
+  Compute<T> alpha_of_odd = 0;  // planes, on CUDA, if it scales
 
   KV_HD void select(int64_t sample) { kx.select(sample), ky.select(sample); }
   KV_HD void fit_windows() {
-    if (sigma_of_side == 0) return;
-    kx.set_gaussian(sigma_of_side * double(y.width));
-    ky.set_gaussian(sigma_of_side * double(y.height));
+    if (!by_sides.is_used) return;
+    by_sides.x.set(kx, y.width), by_sides.y.set(ky, y.height);
+    if (!by_sides.scales) return;
+    alpha = Compute<T>(by_sides.factor(by_sides.x, y.width, y.height, y.width));
+    alpha_of_odd = Compute<T>(by_sides.factor(by_sides.y, y.height, y.height, y.width));
   }
+  KV_HD Compute<T> alpha_of(int64_t plane) const { return by_sides.scales && plane % 2 ? alpha_of_odd : alpha; }
 };
 
 template <class T>

@@ -83,13 +83,21 @@ NOISES = {
         A.RandomRotation(20.0),
         A.RandomElasticTransform((5, 5), (2.0, 2.0), align_corners=True, p=0.7),
     ),
+    "elastic by sides": lambda: (
+        A.RandomElasticTransform((127, 95), (20.0, 24.0), (2.0, 3.0), scale_window=True, p=0.7),
+        A.RandomElasticTransform((1, 95), (20.0, 24.0), (2.0, 3.0), True, scale_window=True, p=0.7),
+    ),
+    "wide elastic": lambda: (  # windows that the kernel of displacements does not have
+        A.RandomElasticTransform((1001, 1201), (200.0, 150.0), (2.0, 3.0), True, scale_window=True, p=0.7),
+        A.RandomElasticTransform((71, 9), (20.0, 3.0), (2.0, 3.0), p=0.7),
+    ),
     "rain": lambda: (A.Spatter(gauss_sigma_range=(1.0, 2.0), p=0.7), A.CommonCorruption("spatter", 2, p=0.7)),
     "mud": lambda: (A.Spatter((0.6, 0.7), mode="mud", p=0.7), A.CommonCorruption("spatter", 5, p=0.7)),
     "waves": lambda: (A.CommonCorruption("elastic_transform", 3, p=0.7), A.RandomHorizontalFlip()),
     "late": lambda: (A.RandomErasing(), A.RandomResizedCrop((12, 14)), A.RandomErasing(), A.SpeckleNoise(p=1.0)),
 }
 BLURS = ("gaussian", "box", "median", "disks", "sharpness", "zoom")
-MAPS = ("lenses", "splines", "grids", "elastic", "waves")
+MAPS = ("lenses", "splines", "grids", "elastic", "elastic by sides", "waves")
 OTHERS = ("antialiased", "rain", "mud")
 PASSES_AND_NOISES = {**PASSES, **NOISES}
 
@@ -205,7 +213,20 @@ def test_results_in_another_type(device):
 
 
 @pytest.mark.parametrize(
-    "name", ["flips", "affine", "everything", "erasing", "factors", "antialiased", "rain", "mud", *BLURS, *MAPS]
+    "name",
+    [
+        "flips",
+        "affine",
+        "everything",
+        "erasing",
+        "factors",
+        "antialiased",
+        "rain",
+        "mud",
+        "wide elastic",
+        *BLURS,
+        *MAPS,
+    ],
 )
 def test_as_many_launches_as_a_batch(name):
     """With contrast two more where the planes of some images begin between vectors: no cluster of blocks keeps these."""

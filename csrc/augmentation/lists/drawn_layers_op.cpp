@@ -40,12 +40,13 @@ Tensor blurred_maps(Tensor const& parameters, Tensor const& keys, OptionalTensor
                     double sigma, int64_t border) {
   constexpr char const* op = "blurred_maps";
   Border const checked = to_border(op, border);
+  filters::SideBlur const blur{{sigma}, {sigma}};
 #if defined(KV_CUDA)
-  if (auto const maps = blurred_maps_of_sides(op, parameters, keys, seeds, chosen, plan, sides, sigma, checked))
+  if (auto const maps = blurred_maps_of_sides(op, parameters, keys, seeds, chosen, plan, sides, blur, checked))
     return *maps;
 #endif
   Tensors const noise = steps::drawn_noise(parameters, 2, sides, false, parameters, keys, seeds, chosen, plan);
-  return steps::gaussian_blur_of_sides(noise, sigma, checked);
+  return steps::gaussian_blur_of_sides(noise, blur, checked);
 }
 
 }  // namespace

@@ -8,6 +8,9 @@
 namespace kv::geometry {
 struct KeptSizes;
 }
+namespace kv::filters {
+struct SideBlur;
+}
 
 namespace kv::augmentation {
 
@@ -24,8 +27,8 @@ void fill_with_noise(geometry::KeptSizes const& kept, Tensor const& parameters, 
                      OptionalTensor const& seeds, std::vector<int64_t> const& plan);
 Tensors gaussian_blur(Tensors const& images, OptionalTensor const& sigma, int64_t ky, int64_t kx, double sigma_y,
                       double sigma_x, Border border);
-// Sigmas of `sigma` heights and widths; the block with the results.
-Tensor gaussian_blur_of_sides(Tensors const& images, double sigma, Border border);
+// The block with the results.
+Tensor gaussian_blur_of_sides(Tensors const& images, filters::SideBlur const& blur, Border border);
 Tensors equalize(Tensors const& images, bool opencv);
 Tensors drop_depths(Tensors const& layers, Tensor const& parameters);
 Tensors drop_reliefs(Tensors const& layers, Tensor const& parameters, Tensors const& depths);

@@ -17,21 +17,28 @@ void run_with_sides([[maybe_unused]] Tensor const& like, SeparableList<T> const&
 namespace kv::augmentation {
 namespace {
 
+constexpr char const* op = "gaussian_blur2d_of_sides_list";
+
 // Sigmas are `sigma` heights and widths of each image, windows three of them to each side. The results are one block.
-Tensor blur_of_sides(Tensors const& images, double sigma, int64_t border_number) {
-  constexpr char const* op = "gaussian_blur2d_of_sides_list";
+Tensors gaussian_blur2d_of_sides_list(Tensors const& images, double sigma, int64_t border) {
+  KV_CHECK(sigma > 0 && sigma <= 0.1, op, ": expected sigma above 0 and at most 0.1 sides, got ", sigma);
+  return {steps::gaussian_blur_of_sides(images, {{sigma}, {sigma}}, to_border(op, border))};
+}
+
+}  // namespace
+
+Tensor steps::gaussian_blur_of_sides(Tensors const& images, filters::SideBlur const& blur, Border border) {
   OptionalTensor const all_images;
   ListedImages const list(op, images, all_images, false, true);
   Tensor const& like = list.like();
-  Border const border = to_border(op, border_number);
-  KV_CHECK(sigma > 0 && sigma <= 0.1, op, ": expected sigma above 0 and at most 0.1 sides, got ", sigma);
   int64_t height = 1, width = 1;
   for (Tensor const& x : images) height = std::max(height, x.size(1)), width = std::max(width, x.size(2));
   dispatch_floating(op, like, [&]<class T>(Type<T>) {
-    filters::AxisWeights const weights{nullptr, 1, true, 0, sigma};
+    filters::AxisWeights const weights{nullptr, 1, true, 0, 1};
     auto all = filters::separable_of<T>(weights, weights, border, true, false, list.planes());
-    all.sigma_of_side = sigma;
-    all.kx.set_gaussian(sigma * double(width)), all.ky.set_gaussian(sigma * double(height));
+    all.by_sides = blur;
+    all.by_sides.is_used = true;
+    blur.x.set(all.kx, width), blur.y.set(all.ky, height);
 #if defined(KV_CUDA)
     filters::check_taps(op, all.ky.size, all.kx.size);
 #endif
@@ -40,15 +47,6 @@ Tensor blur_of_sides(Tensors const& images, double sigma, int64_t border_number)
     });
   });
   return list.kept.block;
-}
-Tensors gaussian_blur2d_of_sides_list(Tensors const& images, double sigma, int64_t border) {
-  return {blur_of_sides(images, sigma, border)};
-}
-
-}  // namespace
-
-Tensor steps::gaussian_blur_of_sides(Tensors const& images, double sigma, Border border) {
-  return blur_of_sides(images, sigma, int64_t(border));
 }
 
 KV_OPERATOR(gaussian_blur2d_of_sides_list, "(Tensor[] images, float sigma, int border) -> Tensor[]")

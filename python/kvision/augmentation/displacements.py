@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -50,18 +51,18 @@ _elastic_displacements = register(
 
 
 # Arguments of the operator on lists: the type and the device (B, 0); keys; seeds; (B,) float32 that is 0 for maps of 0, or None;
-# the plan; the window and its deviations; alpha of x and y; whether half the sides are those between the centers of pixels; height
-# and width of each image.
+# the plan; the window and its deviations; alpha of x and y; whether half the sides are those between the centers of pixels; the
+# side of the images that the window is for, or 0 for all images; height and width of each image.
 
 
 def _list_reference(
     like: Tensor, keys: Tensor, seeds: Tensor | None, chosen: Tensor | None, plan: Sequence[int], *rest: Any
 ) -> Tensor:
-    *blur, alpha_x, alpha_y, align_corners, sides = rest
-    less, first, each = 1 if align_corners else 0, [*plan, 0, 0][5], []
+    ky, kx, sigma_y, sigma_x, *alpha, align_corners, unit, sides = rest
+    first, each = [*plan, 0, 0][5], []
     for b, (h, w) in enumerate(zip(sides[::2], sides[1::2])):
         own_plan = [*plan[:4], 0, first + b]
-        scale = (alpha_x * (w - less) / 2, alpha_y * (h - less) / 2)
+        blur, scale = blur_and_scale((ky, kx, sigma_y, sigma_x), alpha, align_corners, unit, h, w)
         own = _reference(like.new_empty(1, 2, h, w), keys, row(seeds, b), own_plan, *blur, *scale)[0]
         each.append(own if chosen is None else torch.where(chosen[b if len(chosen) > 1 else 0] != 0, own, 0.0))
     return packed(each)
@@ -96,6 +97,19 @@ def scaled_blur(blur: tuple[int, int, Any, Any], scale_y: float, scale_x: float)
     return ky, kx, sigma_y * scale_y, sigma_x * scale_x
 
 
+def blur_and_scale(
+    blur: tuple[int, int, Any, Any], alpha: Sequence[float], align_corners: bool, unit: int, height: int, width: int
+) -> tuple[tuple[int, int, Any, Any], tuple[float, float]]:
+    """Blur settings for an image, which are those of images of `unit` pixels along each side or, with 0, of all, and the scales."""
+    scale_x, scale_y = (a * (n - (1 if align_corners else 0)) / 2 for a, n in zip(alpha, (width, height)))
+    if unit:
+        down, across = height / unit, width / unit
+        blur = scaled_blur(blur, down, across)
+        more = math.sqrt(down * across)  # the mean of more noise is that much smaller
+        scale_x, scale_y = scale_x * more, scale_y * more
+    return blur, (scale_x, scale_y)
+
+
 class NoiseField(NamedTuple):
     """Displacements that follow from the keys of a call: what a kernel needs to draw and to blur their noise."""
 
@@ -127,12 +141,16 @@ def elastic_displacements_of_list(
     blur: tuple[int, int, float, float],
     alpha: tuple[float, float],
     align_corners: bool,
+    unit: int,
     sides: Sequence[int],
     like: Tensor,
     chosen: Tensor | None,
 ) -> Tensor:
-    """The maps of a list of drawn noise, for height and width of each image, in the type of `like` (B, 0); 0 where not `chosen`."""
+    """The maps of a list of drawn noise, for height and width of each image, in the type of `like` (B, 0); 0 where not `chosen`.
+
+    `unit` is that of blur_and_scale.
+    """
     keys, seeds, _, plan = source.arguments()
-    arguments = (keys, seeds, chosen, list(plan), *blur, *alpha, align_corners, list(sides))
+    arguments = (keys, seeds, chosen, list(plan), *blur, *alpha, align_corners, unit, list(sides))
     y: Tensor = _elastic_displacements_list(like, *arguments)
     return y

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -12,10 +11,10 @@ from torch import Tensor
 from kvision import _check
 from kvision.augmentation.displacements import (
     NoiseField,
+    blur_and_scale,
     blur_settings,
     elastic_displacements,
     elastic_displacements_of_list,
-    scaled_blur,
 )
 from kvision.augmentation.distortion.displacement_map import MapFormula
 from kvision.augmentation.distortion.distortion_base import MapAugmentation
@@ -103,15 +102,12 @@ class RandomElasticTransform(MapAugmentation, keeps_contract=True):
         return super()._params_on_device(x, execution, for_users)
 
     def _blur_and_scale(self, shape: tuple[int, ...], flags: dict[str, Any]) -> tuple[Any, tuple[float, float]]:
-        less = 1 if flags["align_corners"] else 0
-        scale_x, scale_y = (alpha * (n - less) / 2 for alpha, n in zip(flags["alpha"], (shape[-1], shape[-2])))
+        return blur_and_scale(*self._settings(flags), shape[-2], shape[-1])
+
+    def _settings(self, flags: dict[str, Any]) -> tuple[Any, tuple[float, float], bool, int]:
+        """The first arguments of blur_and_scale."""
         blur = blur_settings(flags["kernel_size"], flags["sigma"])
-        if flags["scale_window"]:
-            height, width = (n / _WINDOW_SIZE for n in shape[-2:])
-            blur = scaled_blur(blur, height, width)
-            more = math.sqrt(height * width)  # the mean of more noise is that much smaller
-            scale_x, scale_y = scale_x * more, scale_y * more
-        return blur, (scale_x, scale_y)
+        return blur, flags["alpha"], flags["align_corners"], _WINDOW_SIZE if flags["scale_window"] else 0
 
     def _noise_field(self, shape: tuple[int, ...], number: int, has_seed: bool) -> NoiseField | None:
         blur, scale = self._blur_and_scale(shape, self.flags)
@@ -121,20 +117,13 @@ class RandomElasticTransform(MapAugmentation, keeps_contract=True):
 
     @property
     def _has_maps_of_lists(self) -> bool:
-        is_drawn = blur_settings(self.flags["kernel_size"], self.flags["sigma"])[3] is not None
-        return is_drawn and not self.flags["scale_window"]
+        return blur_settings(self.flags["kernel_size"], self.flags["sigma"])[3] is not None
 
     def _maps_of_list(self, sides: Sequence[int], execution: Execution, like: Tensor) -> Tensor:
-        flags, chosen = self.flags, execution.chosen
+        chosen = execution.chosen
         source = self._pixel_noise(execution, execution.redraw, like.device)
         return elastic_displacements_of_list(
-            source,
-            blur_settings(flags["kernel_size"], flags["sigma"]),
-            flags["alpha"],
-            flags["align_corners"],
-            sides,
-            like,
-            None if chosen is None else chosen.float(),
+            source, *self._settings(self.flags), sides, like, None if chosen is None else chosen.float()
         )
 
     def displacements(self, shape: tuple[int, ...], params: Params, flags: dict[str, Any], like: Tensor) -> Tensor:

@@ -121,7 +121,7 @@ struct HitPixels {
     PhiloxWords words{};
     if (chosen) words = p.source(b).words(p.draw, uint32_t(block));
     SaltAndPepper const hit(p.parameters[b * p.parameter_stride], p.parameters[b * p.parameter_stride + 1]);
-    T const pepper = round_to<T>(Compute<T>(0)), salt = round_to<T>(p.salt);
+    T pepper = round_to<T>(Compute<T>(0)), salt = round_to<T>(p.salt);
     for (int64_t c = 0; c < p.channels; ++c) {
       FourPixels<T, Vectorized> four(p, b, c, block);
       uint32_t const number = uint32_t(c * p.blocks() + block);
@@ -132,6 +132,7 @@ struct HitPixels {
         for (int k = 0; k < 4; ++k)
           if (hit.is_hit(words.w[k])) four.v.v[k] = round_to<T>(fill_of<Compute<T>>(fill.w[k]) * p.full_range);
       } else if (chosen) {
+        if (p.values) pepper = salt = round_to<T>(p.values[c * p.value_stride]);
 #pragma unroll
         for (int k = 0; k < 4; ++k)
           if (hit.is_hit(words.w[k])) four.v.v[k] = hit.is_salt(words.w[k]) ? salt : pepper;

@@ -33,8 +33,10 @@ struct PixelNoise {
   Compute<T> full_range, salt;   // 255 for bytes, 1 for floats; the value of salt
   int64_t const *keys, *seeds;   // on the device; null: `key` is the key, there are no seeds
   int64_t key_stride, seed_stride, parameter_stride, chosen_stride;
-  int64_t key;           // or its index, where the keys are on the device
-  float const* uniform;  // of the elements of x, as they lie, in place of the words of photons; or null
+  int64_t key;               // or its index, where the keys are on the device
+  float const* uniform;      // of the elements of x, as they lie, in place of the words of photons; or null
+  Compute<T> const* values;  // of hit pixels, of each channel, or one with a stride of 0, in place of salt and pepper;
+  int64_t value_stride;      // or null
   uint32_t position, draw;
   int64_t first_sample;  // the number of the first image among all samples
   int form;

@@ -187,6 +187,8 @@ void salt_and_pepper(PixelNoise<T> const& p, int64_t begin, int64_t end) {
       fill_words(p.source(b), p.draw + 1, block, count, fill);
       for (int i = 0; i < num_hits; ++i) store<1>(&hits[i].value, F(fill_of<F>(fill[hits[i].at]) * p.full_range));
     }
+    if (num_hits && p.values)
+      for (int i = 0; i < num_hits; ++i) store<1>(&hits[i].value, p.values[c * p.value_stride]);
     copy_chunk(p, at, count);
     for (int i = 0; i < num_hits; ++i) p.y[at + hits[i].at * p.step] = hits[i].value;
   });

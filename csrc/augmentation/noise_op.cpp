@@ -15,6 +15,7 @@ struct NoiseArguments {
   OptionalTensor const &seeds, &chosen;
   std::vector<int64_t> const& plan;
   OptionalTensor const* uniform = nullptr;  // of photons
+  Tensor const* values = nullptr;           // (C,) or (1,), of pixels that are hit
 
   NoiseSource source() const { return {op, images, keys, seeds, plan}; }
   void check() const {
@@ -26,6 +27,10 @@ struct NoiseArguments {
              op, ": expected parameters of shape (B, 2), of the type that is computed in, on the device of images");
     source().check();
     check_chosen(op, chosen, images);
+    if (values)
+      KV_CHECK(values->dim() == 1 && (values->size(0) == 1 || values->size(0) == images.size(1)) &&
+                   values->scalar_type() == compute_dtype(images) && values->device() == images.device(),
+               op, ": expected values of shape (C,) or (1,), of the type that is computed in, on the device of images");
     if (!uniform || !*uniform) return;
     Tensor const& u = **uniform;
     bool fits = u.dim() == 4 && u.scalar_type() == ScalarType::Float && u.device() == images.device();
@@ -42,6 +47,8 @@ struct NoiseArguments {
     n.parameters = data_ptr<Compute<T> const>(p);
     n.parameter_stride = p.size(0) > 1 ? 2 : 0;
     n.uniform = nullptr;
+    n.values = values ? data_ptr<Compute<T> const>(*values) : nullptr;
+    n.value_stride = values && values->size(0) > 1 ? values->stride(0) : 0;
     n.full_range = sizeof(T) == 1 ? 255 : 1;
     n.salt = Compute<T>(salt) * n.full_range;
     if (salt == 0) n.form &= ~NoiseForm::random;  // of gradients
@@ -116,10 +123,10 @@ template <class Run>
 void run_noise_list(geometry::KeptSizes const& kept, Tensors const& images, Tensor const& parameters,
                     Tensor const& keys, OptionalTensor const& seeds, OptionalTensor const& chosen,
                     std::vector<int64_t> const& plan, double salt, [[maybe_unused]] bool by_pixel, Run const& run,
-                    int further_form = 0) {
+                    int further_form = 0, Tensor const* values = nullptr) {
   char const* const op = kept.op;
   Tensor const& like = kept.largest;
-  NoiseArguments const arguments{op, like, parameters, keys, seeds, chosen, plan};
+  NoiseArguments const arguments{op, like, parameters, keys, seeds, chosen, plan, nullptr, values};
   arguments.check();
   Tensor const p = dense(parameters);
   Tensors const rows = color::in_pixel_rows(images, kept.layout);
@@ -175,13 +182,25 @@ Tensors uniform_noise_list(Tensors const& images, Tensor const& parameters, Tens
                         [](auto const&... list) { run_uniform_list(list...); });
 }
 
+void run_hits_list([[maybe_unused]] Tensor const& like, auto const& p, [[maybe_unused]] int64_t elements) {
+  KV_RUN(salt_and_pepper_list, like, p, p.list.items, 2 * elements);
+}
+
 Tensors salt_and_pepper_list(Tensors const& images, Tensor const& parameters, Tensor const& keys,
                              OptionalTensor const& seeds, OptionalTensor const& chosen,
                              std::vector<int64_t> const& plan) {
   return run_noise_list("salt_and_pepper_list", images, parameters, keys, seeds, chosen, plan, 1, true,
-                        []([[maybe_unused]] Tensor const& like, auto const& p, [[maybe_unused]] int64_t elements) {
-                          KV_RUN(salt_and_pepper_list, like, p, p.list.items, 2 * elements);
-                        });
+                        [](auto const&... list) { run_hits_list(list...); });
+}
+
+// Pixels that salt_and_pepper_list hits are set to values, in the units of the images, of each channel or one of all.
+Tensors fill_pixels_list(Tensors const& images, Tensor const& parameters, Tensor const& values, Tensor const& keys,
+                         OptionalTensor const& seeds, OptionalTensor const& chosen, std::vector<int64_t> const& plan) {
+  geometry::KeptSizes const kept("fill_pixels_list", images);
+  run_noise_list(
+      kept, images, parameters, keys, seeds, chosen, plan, 1, true, [](auto const&... list) { run_hits_list(list...); },
+      0, &values);
+  return kept.results;
 }
 
 Tensors shot_noise_list(Tensors const& images, Tensor const& parameters, Tensor const& keys,
@@ -234,6 +253,9 @@ KV_OPERATOR(salt_and_pepper_backward, "(Tensor grad, " KV_NOISE)
 KV_OPERATOR(gaussian_noise_list, KV_NOISE_LIST)
 KV_OPERATOR(uniform_noise_list, KV_NOISE_LIST)
 KV_OPERATOR(salt_and_pepper_list, KV_NOISE_LIST)
+KV_OPERATOR(fill_pixels_list,
+            "(Tensor[] images, Tensor parameters, Tensor values, Tensor keys, Tensor? seeds, Tensor? chosen, "
+            "int[] plan) -> Tensor[]")
 KV_OPERATOR(shot_noise_list,
             "(Tensor[] images, Tensor parameters, Tensor keys, Tensor? seeds, Tensor? chosen, Tensor? uniform, "
             "int[] plan) -> Tensor[]")

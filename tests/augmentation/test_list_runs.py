@@ -67,6 +67,7 @@ NOISES = {
     "salt": lambda: (A.RandomSaltAndPepperNoise(0.2, p=0.7),),
     "factors": lambda: (A.SpeckleNoise(p=0.7), A.MultiplicativeNoise(per_channel=True, elementwise=True, p=1.0)),
     "dropped": lambda: (A.PixelDropout(0.2, p=0.7), A.PixelDropout(0.2, True, "random", p=0.7)),
+    "colored": lambda: (A.PixelDropout(0.2, drop_value=(0.2, 0.3, 0.9), p=0.7), A.PixelDropout(0.2, True, 0.5, p=0.7)),
     "erased": lambda: (
         A.RandomErasing(value="random", p=0.7),
         A.RandomHorizontalFlip(),

@@ -23,11 +23,12 @@ from kvision._limits import NOISE_MULTIPLY as MULTIPLY
 from kvision._limits import NOISE_RANDOM as RANDOM
 from kvision._limits import NOISE_SHARED as SHARED
 from kvision._limits import NOISE_UNIT as UNIT
+from kvision._list_ops import ListOperator
 from kvision._ops import Operator, match_layout, register, saturate_to_byte
 from kvision.augmentation.draws import MAX_DRAWS, philox, unit
 from kvision.augmentation.keys import Keys, flatten_draws
 from kvision.augmentation.lists.sides import rows_on_device
-from kvision.geometry.transform.lists.arguments import row
+from kvision.geometry.transform.lists.arguments import fake_results, row, sizes
 from kvision.geometry.transform.lists.kept_sizes import Operation, register_list
 
 # Arguments of the operators: images (B, C, H, W); parameters (B, 2) of the type that is computed in, for images in [0, 1]
@@ -388,6 +389,37 @@ _salt_and_pepper_list = register_list(
     "salt_and_pepper_list", salt_and_pepper, of_sample_of_list, _salt_and_pepper_gradients, of_images=_all_pepper
 )
 register_list("shot_noise_list", shot_noise, of_sample_without_maps)
+
+
+# Values (C,), or (1,), of pixels that are hit, in the units of the images, in place of salt and pepper.
+
+
+def _filled_reference(
+    images: Sequence[Tensor], parameters: Tensor, values: Tensor, keys: Tensor, *rest: Any
+) -> list[Tensor]:
+    results = []
+    for b, x in enumerate(images):
+        *arguments, chosen, plan = of_sample_of_list(b, parameters, keys, *rest)
+        hit, _ = _hits(x[None], *arguments, plan)
+        own = saturate_to_byte(values) if x.dtype == torch.uint8 else values.to(x.dtype)
+        filled = torch.where(hit, own[:, None, None], x)
+        results.append(match_layout(torch.where(is_chosen(chosen, x[None]), filled, x), x[None])[0])
+    return results
+
+
+def _filled_gradients(
+    needs: Sequence[bool], grads: Sequence[Tensor], images: Sequence[Tensor], parameters: Tensor, _: Tensor, *rest: Any
+) -> list[Any]:
+    return [_all_pepper(grads, images, parameters, *rest), *(None,) * (len(needs) - 1)]
+
+
+fill_pixels_list = ListOperator(
+    "fill_pixels_list",
+    salt_and_pepper,
+    _filled_reference,
+    fake=lambda images, *args: fake_results(images, sizes(images)),
+    backward=_filled_gradients,
+)
 
 
 # --- the source of an augmentation ----------------------------------------------------------------------------------

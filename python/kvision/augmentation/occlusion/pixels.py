@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Literal
 
 import torch
@@ -10,11 +11,12 @@ from torch import Tensor
 from kvision import _check
 from kvision._dtype import compute_dtype
 from kvision.augmentation import ranges
-from kvision.augmentation.engine import Params
-from kvision.augmentation.noise import BY_CHANNEL, RANDOM, salt_and_pepper
+from kvision.augmentation.engine import Execution, Params
+from kvision.augmentation.noise import BY_CHANNEL, RANDOM, fill_pixels_list, salt_and_pepper
 from kvision.augmentation.occlusion.dropout_base import DropoutBase
 from kvision.augmentation.random_generator.occlusion import PixelDropoutGenerator, is_hit
 from kvision.augmentation.ranges import Numbers
+from kvision.geometry.transform.lists.arguments import like_batch
 from kvision.geometry.transform.lists.kept_sizes import Operation
 
 
@@ -74,13 +76,20 @@ class PixelDropout(DropoutBase, keeps_contract=True):
 
     @property
     def _fills_by_operator(self) -> bool:
-        """Whether the operator that hits pixels has the fill."""
+        """Whether the operator on batches that hits pixels has the fill."""
         return self.fill in (0.0, "random")
+
+    def _run_list(self, images: Sequence[Tensor], execution: Execution) -> list[Tensor]:
+        if self._fills_by_operator:
+            return super()._run_list(images, execution)
+        like = like_batch(images)
+        columns, noise = self._params_on_device(like, execution, for_users=False)["_noise"]
+        values = self._values(like, {})[0, :, 0, 0]
+        return list(
+            fill_pixels_list(images, columns.to(compute_dtype(like)), values, *noise.arguments(form=self._form))
+        )
 
     def _operation(self, like: Tensor, params: Params) -> Operation:
         columns, noise = params["_noise"]
         form = self._form if self.fill == 0.0 else self._form | RANDOM
         return Operation(salt_and_pepper, (columns.to(compute_dtype(like)), *noise.arguments(form=form)))
-
-    def _operates_on(self, dtype: torch.dtype) -> bool:
-        return self._fills_by_operator and super()._operates_on(dtype)

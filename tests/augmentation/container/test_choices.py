@@ -190,6 +190,13 @@ def test_children_read_the_labels_of_their_samples(name: str, device: torch.devi
             torch.testing.assert_close(of_batch[i : i + 1], own)
 
 
+def test_objects_that_are_chosen_are_dropped_for_certain(device: torch.device) -> None:
+    x, masks = images(device), torch.ones(8, 1, 16, 20, dtype=torch.uint8, device=device)
+    choice = A.AugmentationSequential(A.OneOf(A.MaskDropout(p=0.1)), data_keys=["image", "mask"])
+    dropped, theirs = choice(x, masks)
+    assert not dropped.any() and not theirs.any()
+
+
 OF_ONE_TYPE: dict[str, Callable[..., Any]] = {
     "OneOf": lambda *children: A.OneOf(*children),
     "SomeOf": lambda *children: A.SomeOf(*children, n=(0, 2)),

@@ -27,6 +27,12 @@ AUGMENTATIONS = {
     "resize": lambda: [A.RandomAffine(20.0), A.Resize((30, 26), antialias=True), A.RandomErasing()],
     "pad": lambda: [A.LongestMaxSize(32), A.RandomVerticalFlip(), A.PadTo((36, 36)), A.RandomErasing()],
     "zoom out": lambda: [A.RandomZoomOut(p=0.7), A.RandomResizedCrop((24, 20)), A.RandomHorizontalFlip()],
+    "objects": lambda: [A.RandomAffine(20.0, p=0.7), A.MaskDropout((1, 3), p=0.7), A.RandomHorizontalFlip()],
+    "objects of some": lambda: [
+        A.OneOf(A.MaskDropout(), A.RandomAffine(20.0)),
+        A.ImageSequential(A.RandomVerticalFlip(), A.MaskDropout(p=0.7)),
+        A.CenterCrop((30, 30)),
+    ],
     "one of": lambda: [A.OneOf(A.RandomHorizontalFlip(), A.RandomAffine(20.0), A.RandomErasing(p=1.0)), A.Transpose()],
     "some of": lambda: [A.SomeOf([A.RandomHorizontalFlip(), A.RandomAffine(20.0), A.RandomVerticalFlip()], 2)],
     "applied": lambda: [A.RandomApply([A.RandomAffine(20.0), A.ColorJitter(0.2, 0.2)]), A.CenterCrop((30, 30))],
@@ -101,7 +107,7 @@ def test_replayed_labels_follow_as_before(name, filters, device):
 def test_launches_do_not_depend_on_the_number_of_labels(name, filters, is_replay, backend):
     if backend == "reference":
         pytest.skip("this test is about the kernels")
-    if is_replay and name in ("zoom out", "crop behind noise"):
+    if is_replay and name in ("zoom out", "crop behind noise", "objects", "objects of some"):
         pytest.skip("images are replayed one by one")
     augment, counts = A.AugmentationSequential(*AUGMENTATIONS[name](), data_keys=KEYS, **FILTERS[filters]), []
     for times in (4, 4, 16):  # the first call makes constants

@@ -56,6 +56,17 @@ class CallLabels(NamedTuple):
         """The labels of some of these samples, which have been through the same stages."""
         return self._replace(rows=rows if self.rows is None else [self.rows[i] for i in rows])
 
+    def read_inside(self, settings: LabelSettings | None) -> CallLabels:
+        """The labels of a list in a container that is the next child, which may read masks in its own way."""
+        return self._replace(settings=self.settings._replace(masks=self.settings.masks.inside(settings)))
+
+    def of_image(self, sample: int, image: Tensor) -> CallLabels:
+        """The first masks of an image (C, H, W) of a list by itself, as of a batch of one, if there are any."""
+        masks, x = self.masks_of_samples(), image[None]
+        known = [] if masks is None else [(DataKey.MASK, [masks[0][sample]])]
+        keys, values = zip((DataKey.INPUT, x), *known)
+        return CallLabels.of(keys, values, self.settings, x)
+
     def read(self, kind: str, shape: Size, frames: int = 1) -> Any:
         """What a draw reads: `boxes` or `masks` of the images, now of a shape; those of `frames` neighbors together."""
         return self.boxes(shape, frames) if kind == "boxes" else self.masks_of_samples(frames)

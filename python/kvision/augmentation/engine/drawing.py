@@ -44,28 +44,30 @@ class Drawing(Declaration):
             check_seeds(op, keys, x.shape[0])
         return keys
 
-    def _draws(self, shape: Shape, has_seed: bool) -> DrawPlan | None:
+    def _draws(self, shape: Shape, has_seed: bool, is_certain: bool = False) -> DrawPlan | None:
         """The launch that draws for images of a shape, kept for them; None for nothing."""
-        key = ("draws", shape, has_seed)
+        key = ("draws", shape, has_seed, is_certain)
         kept: tuple[DrawPlan | None] | None = self._plans.get(key)
         if kept is not None:
             return kept[0]
-        request = self._request(shape) if may_apply(self, False) else None
+        request = self._request(shape, is_certain) if may_apply(self, is_certain) else None
         draws = None if request is None else plan_draws([request], has_seed)[0]
         if draws is None or draws.learned is None:
             self._plans.keep(key, (draws,))
         return draws
 
-    def _draw(self, x: Tensor, seed: Seed, generator: Generator | None, labels: Any = None) -> Execution:
-        """Draw the columns of a call, by its labels where the draw reads some."""
-        shape = tuple(x.shape)
-        draws = self._draws(shape, seed is not None)
+    def _draw(
+        self, x: Tensor, seed: Seed, generator: Generator | None, labels: Any = None, is_certain: bool = False
+    ) -> Execution:
+        """Draw the columns of a call, by its labels where the draw reads some; `is_certain` stands for p = p_batch = 1."""
+        shape, is_certain = tuple(x.shape), is_certain or self._is_certain
+        draws = self._draws(shape, seed is not None, is_certain)
         if draws is None:
-            execution = Execution(shape, applied=self._applies(None, 0))
+            execution = Execution(shape, applied=is_certain or self._applies(None, 0))
         else:
             keys = self._keys(x, seed, generator)
-            drawn, applied = Columns(draws.draw(x, keys), draws.spans[0]), self._applies(keys, 0)
-            execution = Execution(shape, drawn, applied=applied, redraw=(keys, 0), is_certain=self._is_certain)
+            drawn, applied = Columns(draws.draw(x, keys), draws.spans[0]), is_certain or self._applies(keys, 0)
+            execution = Execution(shape, drawn, applied=applied, redraw=(keys, 0), is_certain=is_certain)
             if self._derives:
                 execution.redraw = None
                 execution.columns = self._derived(drawn, size_of(shape, drawn.drawn), labels) if applied else None

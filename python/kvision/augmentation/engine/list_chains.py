@@ -16,7 +16,9 @@ from torch.compiler import is_compiling
 
 from kvision.augmentation.engine.augmentation import AugmentationBase
 from kvision.augmentation.engine.call_context import CallContext
+from kvision.augmentation.engine.call_labels import CallLabels
 from kvision.augmentation.engine.execution import matrix_type
+from kvision.augmentation.engine.label_record import moved_masks
 from kvision.augmentation.engine.label_settings import LabelSettings, MaskReading
 from kvision.augmentation.engine.list_calls import refuse_list, seeds_of_list
 from kvision.augmentation.engine.list_moves import Move, Moves, joined_moves
@@ -27,6 +29,7 @@ from kvision.augmentation.engine.runs import execute, inside_child, runs_of
 from kvision.augmentation.engine.stages import Chain, Nested, Stage
 from kvision.augmentation.engine.turns import Turn, seed_of
 from kvision.augmentation.warp_and_color import SAME
+from kvision.constants import DataKey
 
 Done = tuple[Sequence[Child], Sequence[Stage]]  # the children that an image got, and what labels have to follow
 
@@ -124,6 +127,8 @@ def _runs(module: Any, images: Sequence[Tensor], context: CallContext) -> bool:
     """Whether a container is run here on images, which have several sizes."""
     if len({x.shape for x in images}) == 1 or not module._plans.made("chains", lambda: _takes_lists(module)):
         return False
+    if not all(m._takes_masks(images, context) for m in module.modules() if _needs_masks(m)):
+        return False
     has_bytes_and_floats = images[0].dtype == torch.uint8 and any(
         m._result_dtype(torch.uint8) != torch.uint8 for m in module.modules() if isinstance(m, AugmentationBase)
     )
@@ -131,11 +136,11 @@ def _runs(module: Any, images: Sequence[Tensor], context: CallContext) -> bool:
 
 
 def _takes_lists(container: Any) -> bool:
-    """Whether all that is in a container takes an image of a list alone, keeps its type, and draws nothing from its labels."""
+    """Whether all that is in a container takes an image of a list alone, keeps its type, and draws nothing from its boxes."""
     if not _is_plain(container) or any(getattr(m, "_output", SAME) != SAME for m in container.modules()):
         return False
     return not any(
-        m.mixes_samples or m.reads_labels is not None or m.needs_masks or not m.takes_lists
+        m.mixes_samples or (m.reads_labels is not None and not m.needs_masks) or not m.takes_lists
         for m in container.modules()
         if isinstance(m, AugmentationBase)
     )
@@ -144,6 +149,11 @@ def _takes_lists(container: Any) -> bool:
 def _is_plain(module: Any) -> bool:
     """Whether a module is a container that runs children one after the other, or chooses them."""
     return bool(getattr(module, "_runs_lists", False))
+
+
+def _needs_masks(module: Any) -> bool:
+    """Whether a module changes images by their masks."""
+    return bool(getattr(module, "needs_masks", False))
 
 
 def _takes_whole_lists(module: Any, context: CallContext) -> bool:
@@ -163,14 +173,16 @@ def _run_container(module: Any, images: list[Tensor], params: Any, context: Call
     results, steps = list(images), list[ListStep]()
     for turn in turns:
         if turn.samples:
-            steps += _run_turn(results, turn, own)
+            now = own._replace(labels=_labels_after(own.labels, turn.children, steps, results))
+            steps += _run_turn(results, turn, now)
     return results, steps
 
 
 def _run_turn(results: list[Tensor], turn: Turn, context: CallContext) -> list[ListStep]:
     """Run the children of a turn on its images among `results`, whose places the new ones take."""
     samples, owners = list(turn.samples), [-1] * len(turn.samples)
-    own = context._replace(seed=seed_of(context.seed, samples, len(results)))
+    labels = None if context.labels is None else context.labels.some(samples)
+    own = context._replace(seed=seed_of(context.seed, samples, len(results)), labels=labels)
     if turn.parts is not None:
         for number, chosen in enumerate(turn.parts):
             for sample in chosen:
@@ -203,13 +215,17 @@ def _run_children(
     y: Any = images
     for run, is_joined in runs_of(children, context.plans):
         images = y if isinstance(y, list) else list(y)
-        done = run_list(images, run, context._replace(position=position)) if is_joined else None
         module: Any = run[0].module
+        own = context._replace(position=position, labels=_labels_after(context.labels, run, steps, images))
+        done = run_list(images, run, own) if is_joined or _needs_masks(module) else None
         if done is not None:
             y, parts = done
             steps.append(ListStep(everything, parts.done, parts))
         elif not is_joined and (_is_plain(module) or _takes_whole_lists(module, context)):
-            inside, params = module._inside(inside_child(context, position)), run[0].params
+            inside, params = module._inside(inside_child(own, position)), run[0].params
+            inside = inside._replace(
+                labels=None if own.labels is None else own.labels.read_inside(module._label_settings)
+            )
             parts_inside: Parts
             if _is_plain(module):
                 y, more = _run_container(module, images, params, inside)
@@ -221,10 +237,30 @@ def _run_children(
             moving = _Inside(parts_inside, module._label_settings) if isinstance(parts_inside, ChainParts) else None
             steps.append(ListStep(everything, _of_inside(run[0], parts_inside), moving))
         else:
-            y, each = _run_each(images, run, context, position)
+            y, each = _run_each(images, run, own, position)
             steps.append(ListStep(everything, each.__getitem__, _moving_of_each(images, run, each)))
         position += len(run)
     return y, steps
+
+
+def _labels_after(
+    labels: CallLabels | None, children: Sequence[Child], steps: Sequence[ListStep], images: list[Tensor]
+) -> CallLabels | None:
+    """The first masks of images that became these by steps, if there are any and one of the next children reads them."""
+    reads = labels is not None and any(_needs_masks(m) for child in children for m in child.module.modules())
+    read = labels.masks_of_samples() if labels is not None and reads else None
+    if labels is None or read is None:
+        return labels
+    masks, reading = list(read[0]), labels.settings.masks
+    for samples, done, moving in steps:
+        own = [masks[i] for i in samples]
+        moved = None if moving is None else moving.moved_masks(own, reading)
+        if moved is None:
+            each = [Chain(done(i)[1]) for i in range(len(samples))]
+            moved = [moved_masks([mask], stages, reading, None)[0] for mask, stages in zip(own, each)]
+        for i, mask in zip(samples, moved):
+            masks[i] = mask
+    return CallLabels.of([DataKey.INPUT, DataKey.MASK], [images, masks], labels.settings, images)
 
 
 class _Inside(NamedTuple):
@@ -285,6 +321,8 @@ def _run_each(
         alone = context._replace(seed=seed_of(context.seed, [b], len(images)))
         if owners is not None:
             alone = alone._replace(owners=owners[b : b + 1])
+        if context.labels is not None:
+            alone = alone._replace(labels=context.labels.of_image(b, x))
         y, stages = execute(x[None], own, alone, position)
         results.append(y[0])
         each.append((own, stages))

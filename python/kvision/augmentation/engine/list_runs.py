@@ -44,7 +44,7 @@ from kvision.augmentation.engine.sized import SIZES, ImagesOfList, find_sized
 from kvision.augmentation.engine.stages import Stage, Warp
 from kvision.augmentation.keys import Keys
 from kvision.augmentation.noise import PixelNoise
-from kvision.augmentation.sample_rows import numbers_by, read_rows
+from kvision.augmentation.sample_rows import index_of, numbers_by, read_rows
 from kvision.augmentation.transforms import Transform
 from kvision.augmentation.warp_and_color import SAME
 from kvision.geometry.transform.lists.arguments import have_one_size, like_batch, row, some_of
@@ -123,9 +123,11 @@ class ListRun(ImagesOfList):
         """What an augmentation did to all images, or to some of them, whatever their size."""
         execution = self.plan.run.executions(self.like, self.columns, self.keys)[number]
         execution.shape = (self.shape[0], *execution.shape[1:])
+        execution = execution if rows is None else execution.of_rows(rows)
         if self.found is not None:
-            execution.found = self.modules[number]._found(self.found)
-        return execution if rows is None else execution.of_rows(rows)
+            found = self.found if rows is None else self.found.index_select(0, index_of(rows, self.found))
+            execution.found = self.modules[number]._found(found)
+        return execution
 
     @cached_property
     def _has_noise(self) -> bool:

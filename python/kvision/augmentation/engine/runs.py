@@ -108,7 +108,8 @@ def _execute_alone(x: Tensor, child: Child, context: CallContext, position: int)
     seed = context.seed_of_samples
     if seed is not None:
         seed = seed + ((position + 1) << 32)  # as a seed is that of a chain of one
-    y, child.record = module._run_with_masks(x, masks, child.params, seed, context.generator_of(module))
+    certain = {"is_certain": True} if context.is_certain else {}  # in choices, whose children mix no samples
+    y, child.record = module._run_with_masks(x, masks, child.params, seed, context.generator_of(module), **certain)
     return y, Applied(module, child.record, module.flags)
 
 

@@ -61,8 +61,6 @@ def move_masks(masks: list[Tensor], run: Any, reading: Any) -> list[Tensor] | No
     counts = [len(m) for m in masks]
     if len({*counts}) == 1 and counts[0]:
         return _moved(masks, None, run, steps, reading)
-    if any(step.matrix is None and run.modules[step.numbers[0]].needs_masks for step in steps):
-        return None  # which has marked the pixels of images
     # Each instance is an image by itself, and one of zeros stands for none.
     none, taken = masks[0].new_zeros(1, 1, 1), [max(n, 1) for n in counts]
     planes = [plane for m in masks for plane in (m[:, None] if len(m) else [none.expand(1, *m.shape[1:])])]

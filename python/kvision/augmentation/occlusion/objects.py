@@ -121,10 +121,16 @@ class MaskDropout(DropoutBase, keeps_contract=True):
         return dropped
 
     def _draw_and_run(
-        self, x: Tensor, seed: Seed, generator: Generator | None, flags: dict[str, Any], labels: Any = None
+        self,
+        x: Tensor,
+        seed: Seed,
+        generator: Generator | None,
+        flags: dict[str, Any],
+        labels: Any = None,
+        is_certain: bool = False,
     ) -> tuple[Tensor, Execution]:
         check_images("MaskDropout", x.shape)
-        execution = self.__dict__["_execution"] = self._draw(x, seed, generator)
+        execution = self.__dict__["_execution"] = self._draw(x, seed, generator, is_certain=is_certain)
         if execution.applied:
             execution.found = self._found(self._dropped(execution, labels, x))
         return self._run(x, execution, flags), execution
@@ -140,10 +146,16 @@ class MaskDropout(DropoutBase, keeps_contract=True):
         return params if "dropped" in params else {**params, **(execution.found or {})}
 
     def _run_with_masks(
-        self, x: Tensor, masks: Any, params: Params | None, seed: Seed, generator: Generator | None
+        self,
+        x: Tensor,
+        masks: Any,
+        params: Params | None,
+        seed: Seed,
+        generator: Generator | None,
+        is_certain: bool = False,
     ) -> tuple[Tensor, Execution]:
         if params is None:
-            return self._draw_and_run(x, seed, generator, self.flags, masks)
+            return self._draw_and_run(x, seed, generator, self.flags, masks, is_certain)
         execution = self.__dict__["_execution"] = self._from_params(params, x)
         return self._run(x, execution, self.flags), execution
 
@@ -263,7 +275,9 @@ def _as_integers(masks: Tensor) -> Tensor:
 
 def _padded(masks: Sequence[Tensor], height: int, width: int, device: torch.device) -> tuple[Tensor, Tensor]:
     """Masks (N, h, w) or (h, w) of any types as (B, most N, H, W) int64, 0 beyond each, and the widths (B,)."""
-    if all(_number_masks.serves(mask) for mask in masks) and masks[0].device == device:
+    shown = [mask for mask in masks if mask.numel()]
+    has_kernel = all(map(_number_masks.serves, shown)) and {m.dtype for m in masks} <= {m.dtype for m in shown}
+    if has_kernel and masks[0].device == device:
         numbers: tuple[Tensor, Tensor] = _number_masks.kernel(list(masks), height, width)
         return numbers
     # They are joined, and then each pixel reads its number.

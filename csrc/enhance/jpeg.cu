@@ -168,25 +168,31 @@ __global__ void __launch_bounds__(kThreads) run_blocks(__grid_constant__ JpegBlo
   transform_tile(p, TilePosition(p.levels));
 }
 
-template <class T>
-__global__ void __launch_bounds__(kThreads) run_blocks_of_list(__grid_constant__ JpegList<T> const p) {
-  __shared__ __align__(16) unsigned char memory[sizeof(JpegBlocks<T>)];
-  int const b = p.list.sample_of(int(blockIdx.x));
-  if (p.copies(b)) return;
-  if (threadIdx.x == 0) new (memory) JpegBlocks<T>(p.blocks(b));
+// What find() gives, in shared memory.
+template <class Find>
+__device__ __forceinline__ auto const& shared_sample(Find const& find) {
+  using Sample = decltype(find());
+  __shared__ __align__(16) unsigned char memory[sizeof(Sample)];
+  if (threadIdx.x == 0) new (memory) Sample(find());
   __syncthreads();
-  auto const& one = *reinterpret_cast<JpegBlocks<T> const*>(memory);
-  transform_tile(one, TilePosition(one.levels, blockIdx.x - unsigned(p.list.first[b])));
+  return *reinterpret_cast<Sample const*>(memory);
+}
+
+template <class List>
+__global__ void __launch_bounds__(kThreads) run_blocks_of_list(__grid_constant__ List const p) {
+  int const b = p.sample_of(int(blockIdx.x));
+  if (p.copies(b)) return;
+  auto const& one = shared_sample([&] { return p.blocks(b); });
+  transform_tile(one, TilePosition(one.levels, blockIdx.x - unsigned(p.first_of(b))));
 }
 
 template <class T>
-__global__ void __launch_bounds__(kThreads) run_blocks_backward(__grid_constant__ JpegBlocksBackward<T> const p) {
+__device__ __forceinline__ void transform_gradients(JpegBlocksBackward<T> const& p, TilePosition const& at) {
   using F = Compute<T>;
   __shared__ Tile<F> planes, grads;
   __shared__ Chroma<F> chroma;
   __shared__ F steps[128], sums[kWarps][64];
   JpegLevels<F> const& levels = p.forward.levels;
-  TilePosition const at(levels);
   find_steps(p.forward.tables, at.image, steps);
   load_levels(p.forward, at, planes, chroma);
   __syncthreads();
@@ -245,6 +251,18 @@ __global__ void __launch_bounds__(kThreads) run_blocks_backward(__grid_constant_
   if (i < 128)
     p.gradients[(at.image * p.chunks + at.tile) * 128 + i] =
         i < 64 ? (sums[0][k] + sums[1][k]) + (sums[2][k] + sums[3][k]) : sums[4][k] + sums[5][k];
+}
+
+template <class T>
+__global__ void __launch_bounds__(kThreads) run_blocks_backward(__grid_constant__ JpegBlocksBackward<T> const p) {
+  transform_gradients(p, TilePosition(p.forward.levels));
+}
+template <class T>
+__global__ void __launch_bounds__(kThreads) run_blocks_of_list_backward(__grid_constant__ JpegListBackward<T> const p) {
+  int const b = p.sample_of(int(blockIdx.x));
+  if (p.copies(b)) return;
+  auto const& one = shared_sample([&] { return p.blocks_backward(b); });
+  transform_gradients(one, TilePosition(one.forward.levels, blockIdx.x - unsigned(p.first_of(b))));
 }
 
 // --- pixels, four per thread -----------------------------------------------------------------------------------------
@@ -329,77 +347,99 @@ __global__ void __launch_bounds__(32 * kRows) run_pixels(__grid_constant__ JpegP
 
 // A block has a tile of an image.
 constexpr int kTileThreads = kJpegSide * kJpegWidth / kPixelsPerThread;
+// The first pixel of a thread.
+struct TilePixel {
+  int y, x;
+  template <class F>
+  __device__ __forceinline__ TilePixel(JpegLevels<F> const& levels, int first) {
+    constexpr int kAcross = kJpegWidth / kPixelsPerThread;
+    TilePosition const at(levels, blockIdx.x - unsigned(first));
+    y = at.y + int(threadIdx.x) / kAcross, x = at.x + int(threadIdx.x) % kAcross * kPixelsPerThread;
+  }
+};
+template <class T>
+__device__ __forceinline__ void copy_pixels(Images<T const> const& from, Images<T> const& to, TilePixel const& at) {
+  for (int c = 0; c < 3; ++c)
+    for (int i = at.x; i < min(at.x + kPixelsPerThread, int(to.width)); ++i)
+      to.row(0, c, at.y)[i * to.step] = from.row(0, c, at.y)[i * from.step];
+}
+
 template <class T>
 __global__ void __launch_bounds__(kTileThreads) run_pixels_of_list(__grid_constant__ JpegList<T> const p) {
-  __shared__ __align__(16) unsigned char memory[sizeof(JpegPixels<T>)];
-  int const b = p.list.sample_of(int(blockIdx.x));
-  if (threadIdx.x == 0) new (memory) JpegPixels<T>(p.pixels(b));
-  __syncthreads();
-  auto const& one = *reinterpret_cast<JpegPixels<T> const*>(memory);
-  constexpr int kAcross = kJpegWidth / kPixelsPerThread;
-  TilePosition const at(one.levels, blockIdx.x - unsigned(p.list.first[b]));
-  int const y = at.y + int(threadIdx.x) / kAcross, x = at.x + int(threadIdx.x) % kAcross * kPixelsPerThread;
-  if (x >= one.y.width || y >= one.y.height) return;
-  if (p.copies(b)) {
-    auto const from = images_of<T>(p.list.images[b], p.channels);
-    for (int c = 0; c < 3; ++c)
-      for (int i = x; i < min(x + kPixelsPerThread, int(one.y.width)); ++i)
-        one.y.row(0, c, y)[i * one.y.step] = from.row(0, c, y)[i * from.step];
-    return;
+  int const b = p.sample_of(int(blockIdx.x));
+  auto const& one = shared_sample([&] { return p.pixels(b); });
+  TilePixel const at(one.levels, p.first_of(b));
+  if (at.x >= one.y.width || at.y >= one.y.height) return;
+  if (p.copies(b)) return copy_pixels(images_of<T>(p.list.images[b], p.channels), one.y, at);
+  write_pixels(one, 0, jpeg_doubled<Compute<T>>(at.y, int(one.levels.height)), at.y, at.x, is_vectorizable(one.y));
+}
+
+// The gradients of four pixels of an image from (y, x) on.
+template <class T>
+__device__ __forceinline__ void write_gradients(JpegPixelsBackward<T> const& p, int64_t image, int y, int x,
+                                                bool vectorized) {
+  using F = Compute<T>;
+  JpegLevels<F> const& levels = p.grad_levels;
+  int const width = int(p.grad_x.width), height = int(p.grad_x.height);
+  // The last row and column also serve the pixels out of bounds.
+  int const after = y + 1 < height ? y + 1 : int(levels.height);
+  int const across = x + kPixelsPerThread < width ? x + kPixelsPerThread : int(levels.width);
+  F sums[3][kPixelsPerThread]{};
+  for (int row = y; row < after; ++row) {
+    auto const rows = jpeg_halved_vjp<F>(row, int(levels.height));
+    for (int column = x; column < across; column += kPixelsPerThread) {
+      F v[3][kPixelsPerThread];
+      auto const luma = *reinterpret_cast<Vector<F, kPixelsPerThread> const*>(levels.row(image, 0, row) + column);
+#pragma unroll
+      for (int c = 0; c < 2; ++c) {
+        spread(levels, image, 1 + c, rows, column, F(kJpegInner), F(kJpegOuter), false, v[1 + c]);
+        F const *const near = levels.row(image, 1 + c, rows.near), *const far = levels.row(image, 1 + c, rows.far);
+        auto const mirrored = [&](int i) {
+          return (near[i] * rows.near_weight + far[i] * rows.far_weight) * F(kJpegOuter);
+        };
+        if (column == 0) v[1 + c][1] += mirrored(0);
+        if (column + kPixelsPerThread == levels.width) v[1 + c][2] += mirrored(int(levels.width) / 2 - 1);
+      }
+#pragma unroll
+      for (int i = 0; i < kPixelsPerThread; ++i) {
+        v[0][i] = luma.v[i];
+        int const to = min(column + i, width - 1) - x;
+#pragma unroll
+        for (int k = 0; k < kPixelsPerThread; ++k)
+          if (k == to)
+#pragma unroll
+            for (int c = 0; c < 3; ++c) sums[c][k] += v[c][i];
+      }
+    }
   }
-  write_pixels(one, 0, jpeg_doubled<Compute<T>>(y, int(one.levels.height)), y, x, is_vectorizable(one.y));
+  F rgb[3][kPixelsPerThread];
+#pragma unroll
+  for (int i = 0; i < kPixelsPerThread; ++i) {
+    auto const result = jpeg_levels_vjp<F>(sums[0][i], sums[1][i], sums[2][i]);
+#pragma unroll
+    for (int c = 0; c < 3; ++c) rgb[c][i] = result.v[c];
+  }
+#pragma unroll
+  for (int c = 0; c < 3; ++c) store_pixels(p.grad_x, image, c, y, x, vectorized, rgb[c]);
 }
 
 template <class T>
 __global__ void __launch_bounds__(32 * kRows)
     run_pixels_backward(__grid_constant__ JpegPixelsBackward<T> const p, bool vectorized) {
-  using F = Compute<T>;
-  JpegLevels<F> const& levels = p.grad_levels;
   int const x = int(blockIdx.x * 32 + threadIdx.x) * kPixelsPerThread, y = int(blockIdx.y * kRows + threadIdx.y);
-  int const width = int(p.grad_x.width), height = int(p.grad_x.height);
-  if (x >= width || y >= height) return;
-  // The last row and column also serve the pixels out of bounds.
-  int const after = y + 1 < height ? y + 1 : int(levels.height);
-  int const across = x + kPixelsPerThread < width ? x + kPixelsPerThread : int(levels.width);
-  for (int64_t image = blockIdx.z; image < p.grad_x.batch; image += gridDim.z) {
-    F sums[3][kPixelsPerThread]{};
-    for (int row = y; row < after; ++row) {
-      auto const rows = jpeg_halved_vjp<F>(row, int(levels.height));
-      for (int column = x; column < across; column += kPixelsPerThread) {
-        F v[3][kPixelsPerThread];
-        auto const luma = *reinterpret_cast<Vector<F, kPixelsPerThread> const*>(levels.row(image, 0, row) + column);
-#pragma unroll
-        for (int c = 0; c < 2; ++c) {
-          spread(levels, image, 1 + c, rows, column, F(kJpegInner), F(kJpegOuter), false, v[1 + c]);
-          F const *const near = levels.row(image, 1 + c, rows.near), *const far = levels.row(image, 1 + c, rows.far);
-          auto const mirrored = [&](int i) {
-            return (near[i] * rows.near_weight + far[i] * rows.far_weight) * F(kJpegOuter);
-          };
-          if (column == 0) v[1 + c][1] += mirrored(0);
-          if (column + kPixelsPerThread == levels.width) v[1 + c][2] += mirrored(int(levels.width) / 2 - 1);
-        }
-#pragma unroll
-        for (int i = 0; i < kPixelsPerThread; ++i) {
-          v[0][i] = luma.v[i];
-          int const to = min(column + i, width - 1) - x;
-#pragma unroll
-          for (int k = 0; k < kPixelsPerThread; ++k)
-            if (k == to)
-#pragma unroll
-              for (int c = 0; c < 3; ++c) sums[c][k] += v[c][i];
-        }
-      }
-    }
-    F rgb[3][kPixelsPerThread];
-#pragma unroll
-    for (int i = 0; i < kPixelsPerThread; ++i) {
-      auto const result = jpeg_levels_vjp<F>(sums[0][i], sums[1][i], sums[2][i]);
-#pragma unroll
-      for (int c = 0; c < 3; ++c) rgb[c][i] = result.v[c];
-    }
-#pragma unroll
-    for (int c = 0; c < 3; ++c) store_pixels(p.grad_x, image, c, y, x, vectorized, rgb[c]);
-  }
+  if (x >= p.grad_x.width || y >= p.grad_x.height) return;
+  for (int64_t image = blockIdx.z; image < p.grad_x.batch; image += gridDim.z)
+    write_gradients(p, image, y, x, vectorized);
+}
+template <class T>
+__global__ void __launch_bounds__(kTileThreads)
+    run_pixels_of_list_backward(__grid_constant__ JpegListBackward<T> const p) {
+  int const b = p.sample_of(int(blockIdx.x));
+  auto const& one = shared_sample([&] { return p.pixels_backward(b); });
+  TilePixel const at(one.grad_levels, p.first_of(b));
+  if (at.x >= one.grad_x.width || at.y >= one.grad_x.height) return;
+  if (p.copies(b)) return copy_pixels(p.given(b), one.grad_x, at);
+  write_gradients(one, 0, at.y, at.x, is_vectorizable(one.grad_x));
 }
 
 // One block of threads per image, one thread per quantization step.
@@ -460,6 +500,22 @@ int jpeg_pixels_backward(JpegPixelsBackward<T> const& p, CUstream_st* stream) {
   run_pixels_backward<<<blocks_of(p.grad_x), dim3(32, kRows), 0, stream>>>(p, is_vectorizable(p.grad_x));
   return cudaGetLastError();
 }
+template <class T>
+int jpeg_blocks_again(JpegListBackward<T> const& p, CUstream_st* stream) {
+  static_assert(sizeof(JpegListBackward<T>) <= 32764, "more than a kernel's parameters");
+  run_blocks_of_list<<<unsigned(p.items), kThreads, 0, stream>>>(p);
+  return cudaGetLastError();
+}
+template <class T>
+int jpeg_blocks_list_backward(JpegListBackward<T> const& p, CUstream_st* stream) {
+  run_blocks_of_list_backward<<<unsigned(p.items), kThreads, 0, stream>>>(p);
+  return cudaGetLastError();
+}
+template <class T>
+int jpeg_pixels_list_backward(JpegListBackward<T> const& p, CUstream_st* stream) {
+  run_pixels_of_list_backward<<<unsigned(p.items), kTileThreads, 0, stream>>>(p);
+  return cudaGetLastError();
+}
 template <class F>
 int jpeg_steps_backward(JpegStepsBackward<F> const& p, CUstream_st* stream) {
   run_steps_backward<<<unsigned(p.batch), 128, 0, stream>>>(p);
@@ -472,6 +528,9 @@ KV_INSTANTIATE(jpeg_blocks_list, JpegList)
 KV_INSTANTIATE(jpeg_pixels_list, JpegList)
 KV_INSTANTIATE(jpeg_blocks_backward, JpegBlocksBackward)
 KV_INSTANTIATE(jpeg_pixels_backward, JpegPixelsBackward)
+KV_INSTANTIATE(jpeg_blocks_again, JpegListBackward)
+KV_INSTANTIATE(jpeg_blocks_list_backward, JpegListBackward)
+KV_INSTANTIATE(jpeg_pixels_list_backward, JpegListBackward)
 KV_INSTANTIATE_COMPUTED(jpeg_steps_backward, JpegStepsBackward)
 
 }  // namespace kv::enhance::cuda

@@ -18,6 +18,7 @@
 #include "core/image_list.h"
 #include "core/images.h"
 #include "core/isa.h"
+#include "core/stencils/gradient_list.h"
 
 namespace kv::enhance {
 
@@ -67,6 +68,18 @@ struct JpegPixels {
 constexpr int kJpegSide = 16, kJpegWidth = 64;
 constexpr int64_t kJpegTileLevels = kJpegSide * kJpegWidth / 2 * 3;
 
+KV_HD int64_t jpeg_padded(int64_t side) { return ceil_div(side, int64_t(kJpegSide)) * kJpegSide; }
+KV_HD int64_t jpeg_tiles(int64_t height, int64_t width) {
+  return ceil_div(height, int64_t(kJpegSide)) * ceil_div(width, int64_t(kJpegWidth));
+}
+// Sample b of a list as a batch of one, whose levels begin in memory where those of its first tile do.
+template <class T>
+KV_HD JpegBlocks<T> jpeg_sample(Images<T const> const& x, Compute<T>* memory, int64_t first_tile,
+                                JpegTables<Compute<T>> tables, int64_t b) {
+  tables.select(b);
+  return {x, {memory + first_tile * kJpegTileLevels, jpeg_padded(x.height), jpeg_padded(x.width)}, tables};
+}
+
 // A list of images of different sizes. An item is a tile, whose levels have a place in memory of their own, so that
 // those of an image have one, too.
 template <class T>
@@ -79,15 +92,12 @@ struct JpegList {
   int channels;
 
   KV_HD bool copies(int b) const { return chosen && chosen[b * chosen_stride] == 0; }
-  static KV_HD int64_t padded(int64_t side) { return ceil_div(side, int64_t(kJpegSide)) * kJpegSide; }
-  static KV_HD int64_t tiles_across(int64_t width) { return ceil_div(width, int64_t(kJpegWidth)); }
-  static KV_HD int64_t tiles_down(int64_t height) { return ceil_div(height, int64_t(kJpegSide)); }
+  KV_HD int sample_of(int item) const { return list.sample_of(item); }
+  KV_HD int first_of(int b) const { return list.first[b]; }
+  KV_HD int end_of(int b) const { return b + 1 < list.count ? list.first[b + 1] : list.items; }
   // A sample as a batch of one.
   KV_HD JpegBlocks<T> blocks(int b) const {
-    JpegTables<Compute<T>> tables = all;
-    tables.select(b);
-    auto const x = images_of<T>(list.images[b], channels);
-    return {x, {memory + list.first[b] * kJpegTileLevels, padded(x.height), padded(x.width)}, tables};
+    return jpeg_sample(images_of<T>(list.images[b], channels), memory, first_of(b), all, b);
   }
   KV_HD JpegPixels<T> pixels(int b) const {
     return {blocks(b).levels, images_of<T>(list.results[b], channels, list.interleaved)};
@@ -107,6 +117,25 @@ struct JpegPixelsBackward {
   JpegLevels<Compute<T>> grad_levels;
   Images<T> grad_x;
 };
+// Gradients of the images of a list, in three passes over its tiles; those of images that are not chosen are copied.
+template <class T>
+struct JpegListBackward : GradientList<JpegTables<Compute<T>>, T> {
+  Compute<T>*memory, *grad_memory;  // kJpegTileLevels for each item
+
+  KV_HD int first_of(int b) const { return this->first[b]; }
+  KV_HD JpegBlocks<T> blocks(int b) const {
+    return jpeg_sample(images_of<T>(this->images[b], this->channels), memory, first_of(b), this->all, b);
+  }
+  KV_HD JpegBlocksBackward<T> blocks_backward(int b) const {
+    JpegBlocks<T> const forward = blocks(b);
+    JpegLevels<Compute<T>> const& levels = forward.levels;
+    return {forward, given(b), {grad_memory + (levels.data - memory), levels.height, levels.width}, nullptr, 0};
+  }
+  KV_HD JpegPixelsBackward<T> pixels_backward(int b) const {
+    return {blocks_backward(b).grad_levels, images_of<T>(this->results[b], this->channels, this->interleaved)};
+  }
+  KV_HD Images<T const> given(int b) const { return images_of<T>(this->grads[b], this->channels); }
+};
 template <class F>
 struct JpegStepsBackward {
   JpegTables<F> tables;
@@ -121,6 +150,9 @@ KV_KERNEL(jpeg_blocks_list, JpegList)
 KV_KERNEL(jpeg_pixels_list, JpegList)
 KV_KERNEL(jpeg_blocks_backward, JpegBlocksBackward)
 KV_KERNEL(jpeg_pixels_backward, JpegPixelsBackward)
+KV_KERNEL(jpeg_blocks_again, JpegListBackward)
+KV_KERNEL(jpeg_blocks_list_backward, JpegListBackward)
+KV_KERNEL(jpeg_pixels_list_backward, JpegListBackward)
 KV_KERNEL(jpeg_steps_backward, JpegStepsBackward)
 
 // --- color -----------------------------------------------------------------------------------------------------------

@@ -263,37 +263,48 @@ namespace {
 
 // Calls run(sample, first row of tiles, row behind the last, whether it is copied) for the rows of which the first tile
 // is among the items.
-template <class T, class Run>
-KV_HD void rows_of_tiles(JpegList<T> const& p, int64_t begin, int64_t end, Run run) {
+template <class List, class Run>
+KV_HD void rows_of_tiles(List const& p, int64_t begin, int64_t end, Run run) {
   while (begin < end) {
-    int const b = p.list.sample_of(int(begin));
-    int64_t const first = p.list.first[b], next = b + 1 < p.list.count ? p.list.first[b + 1] : p.list.items;
-    int64_t const last = min(end, next), across = p.tiles_across(p.list.images[b].width);
+    int const b = p.sample_of(int(begin));
+    int64_t const first = p.first_of(b), last = min(end, int64_t(p.end_of(b)));
+    int64_t const across = ceil_div(p.blocks(b).x.width, int64_t(kJpegWidth));
     run(b, ceil_div(begin - first, across), ceil_div(last - first, across), p.copies(b));
     begin = last;
   }
+}
+
+template <class List>
+KV_HD void blocks_of_list(List const& p, int64_t begin, int64_t end) {
+  rows_of_tiles(p, begin, end, [&](int b, int64_t first, int64_t last, bool is_copied) {
+    if (!is_copied) KV_ISA::jpeg_blocks(p.blocks(b), first, last);
+  });
+}
+// Rows [first, last) of the pixels of an image.
+template <class T>
+KV_HD void copy_pixels(Images<T const> const& x, Images<T> const& y, int64_t first, int64_t last) {
+  for (int64_t row = first; row < last; ++row)
+    for (int c = 0; c < 3; ++c)
+      for (int64_t i = 0; i < y.width; ++i) y.row(0, c, row)[i * y.step] = x.row(0, c, row)[i * x.step];
 }
 
 }  // namespace
 
 template <class T>
 void jpeg_blocks_list(JpegList<T> const& p, int64_t begin, int64_t end) {
-  rows_of_tiles(p, begin, end, [&](int b, int64_t first, int64_t last, bool is_copied) {
-    if (!is_copied) KV_ISA::jpeg_blocks(p.blocks(b), first, last);
-  });
+  blocks_of_list(p, begin, end);
+}
+template <class T>
+void jpeg_blocks_again(JpegListBackward<T> const& p, int64_t begin, int64_t end) {
+  blocks_of_list(p, begin, end);
 }
 
 template <class T>
 void jpeg_pixels_list(JpegList<T> const& p, int64_t begin, int64_t end) {
   rows_of_tiles(p, begin, end, [&](int b, int64_t first, int64_t last, bool is_copied) {
-    auto const blocks = p.blocks(b);
     auto const pixels = p.pixels(b);
-    int64_t const bottom = min(last * kJpegSide, pixels.y.height);
-    if (!is_copied) return KV_ISA::jpeg_pixels(pixels, first * kJpegSide, bottom);
-    for (int64_t y = first * kJpegSide; y < bottom; ++y)
-      for (int c = 0; c < 3; ++c)
-        for (int64_t x = 0; x < pixels.y.width; ++x)
-          pixels.y.row(0, c, y)[x * pixels.y.step] = blocks.x.row(0, c, y)[x * blocks.x.step];
+    int64_t const top = first * kJpegSide, bottom = min(last * kJpegSide, pixels.y.height);
+    is_copied ? copy_pixels(p.blocks(b).x, pixels.y, top, bottom) : KV_ISA::jpeg_pixels(pixels, top, bottom);
   });
 }
 
@@ -406,6 +417,21 @@ void jpeg_pixels_backward(JpegPixelsBackward<T> const& p, int64_t begin, int64_t
   }
 }
 
+template <class T>
+void jpeg_blocks_list_backward(JpegListBackward<T> const& p, int64_t begin, int64_t end) {
+  rows_of_tiles(p, begin, end, [&](int b, int64_t first, int64_t last, bool is_copied) {
+    if (!is_copied) KV_ISA::jpeg_blocks_backward(p.blocks_backward(b), first, last);
+  });
+}
+template <class T>
+void jpeg_pixels_list_backward(JpegListBackward<T> const& p, int64_t begin, int64_t end) {
+  rows_of_tiles(p, begin, end, [&](int b, int64_t first, int64_t last, bool is_copied) {
+    auto const pixels = p.pixels_backward(b);
+    int64_t const top = first * kJpegSide, bottom = min(last * kJpegSide, pixels.grad_x.height);
+    is_copied ? copy_pixels(p.given(b), pixels.grad_x, top, bottom) : KV_ISA::jpeg_pixels_backward(pixels, top, bottom);
+  });
+}
+
 template <class F>
 void jpeg_steps_backward(JpegStepsBackward<F> const& p, int64_t begin, int64_t end) {
   for (int64_t b = begin; b < end; ++b) {
@@ -432,6 +458,9 @@ KV_INSTANTIATE(jpeg_blocks_list, JpegList)
 KV_INSTANTIATE(jpeg_pixels_list, JpegList)
 KV_INSTANTIATE(jpeg_blocks_backward, JpegBlocksBackward)
 KV_INSTANTIATE(jpeg_pixels_backward, JpegPixelsBackward)
+KV_INSTANTIATE(jpeg_blocks_again, JpegListBackward)
+KV_INSTANTIATE(jpeg_blocks_list_backward, JpegListBackward)
+KV_INSTANTIATE(jpeg_pixels_list_backward, JpegListBackward)
 KV_INSTANTIATE_COMPUTED(jpeg_steps_backward, JpegStepsBackward)
 
 }  // namespace kv::enhance::KV_ISA

@@ -48,6 +48,13 @@ void run([[maybe_unused]] Tensor const& like, JpegList<T> const& p) {
   KV_RUN(jpeg_blocks_list, like, p, p.list.items, cost);
   KV_RUN(jpeg_pixels_list, like, p, p.list.items, cost / 4);
 }
+template <class T>
+void run_backward([[maybe_unused]] Tensor const& like, JpegListBackward<T> const& p) {
+  constexpr int64_t cost = 16 * kJpegSide * kJpegWidth;
+  KV_RUN(jpeg_blocks_again, like, p, p.items, cost);
+  KV_RUN(jpeg_blocks_list_backward, like, p, p.items, 2 * cost);
+  KV_RUN(jpeg_pixels_list_backward, like, p, p.items, cost / 4);
+}
 
 }  // namespace
 }  // namespace kv::enhance
@@ -244,22 +251,50 @@ Tensors equalize_clahe_list(Tensors const& images, OptionalTensor const& chosen,
   return list.kept.results;
 }
 
+enhance::JpegNumbers jpeg_numbers(ListedImages const& list, OptionalTensor const& quality,
+                                  OptionalTensor const& table_y, OptionalTensor const& table_c, double number) {
+  Tensor const& like = list.like();
+  KV_CHECK(like.size(1) == 3, list.kept.op, ": expected images of 3 channels, got ", like.size(1));
+  check_pixels(list);
+  return {list.kept.op, like, quality, table_y, table_c, number};
+}
+Tensor jpeg_levels(Tensor const& like, int64_t tiles) {
+  return empty({tiles * enhance::kJpegTileLevels}, like, Layout::planar, compute_dtype(like));
+}
+
 Tensors jpeg_list(Tensors const& images, OptionalTensor const& chosen, OptionalTensor const& quality,
                   OptionalTensor const& table_y, OptionalTensor const& table_c, double number) {
   ListedImages const list("jpeg_list", images, chosen);
   Tensor const& like = list.like();
-  KV_CHECK(like.size(1) == 3, list.kept.op, ": expected images of 3 channels, got ", like.size(1));
-  check_pixels(list);
-  enhance::JpegNumbers const numbers(list.kept.op, like, quality, table_y, table_c, number);
+  auto const numbers = jpeg_numbers(list, quality, table_y, table_c, number);
   dispatch_floating(list.kept.op, like, [&]<class T>(Type<T>) {
     using List = enhance::JpegList<T>;
-    auto const tiles_of = [](geometry::Size size) {
-      return List::tiles_down(size.height) * List::tiles_across(size.width);
-    };
+    auto const tiles_of = [](geometry::Size size) { return enhance::jpeg_tiles(size.height, size.width); };
     list.for_each_table<List>(numbers.tables<Compute<T>>(), tiles_of, [&](List& p) {
-      Tensor const levels = empty({p.list.items * enhance::kJpegTileLevels}, like, Layout::planar, compute_dtype(like));
+      Tensor const levels = jpeg_levels(like, p.list.items);
       p.memory = data_ptr<Compute<T>>(levels);
       enhance::run(like, p);
+    });
+  });
+  return list.kept.results;
+}
+
+Tensors jpeg_list_backward(Tensors const& images_and_grads, OptionalTensor const& chosen, OptionalTensor const& quality,
+                           OptionalTensor const& table_y, OptionalTensor const& table_c, double number) {
+  constexpr char const* op = "jpeg_list_backward";
+  auto const [images, given] = halves(op, images_and_grads);
+  ListedImages const list(op, images, chosen);
+  Tensor const& like = list.like();
+  auto const numbers = jpeg_numbers(list, quality, table_y, table_c, number);
+  Tensors const grads = list.in_layout_of_images(given);
+  dispatch_floating(op, like, [&]<class T>(Type<T>) {
+    using List = enhance::JpegListBackward<T>;
+    auto const tiles_of = [](Tensor const& x) { return enhance::jpeg_tiles(x.size(1), x.size(2)); };
+    list.for_each_gradient_table<List>(numbers.tables<Compute<T>>(), grads, tiles_of, [&](List& p, size_t) {
+      Tensor const levels = jpeg_levels(like, 2 * int64_t(p.items));
+      p.memory = data_ptr<Compute<T>>(levels);
+      p.grad_memory = p.memory + int64_t(p.items) * enhance::kJpegTileLevels;
+      enhance::run_backward(like, p);
     });
   });
   return list.kept.results;
@@ -292,5 +327,8 @@ KV_OPERATOR(equalize_clahe_list,
 KV_OPERATOR(jpeg_list,
             "(Tensor[] images, Tensor? chosen, Tensor? quality, Tensor? table_y, Tensor? table_c, float number)"
             " -> Tensor[]")
+KV_OPERATOR(jpeg_list_backward,
+            "(Tensor[] images_and_grads, Tensor? chosen, Tensor? quality, Tensor? table_y, Tensor? table_c,"
+            " float number) -> Tensor[]")
 
 }  // namespace kv::augmentation

@@ -28,6 +28,7 @@ PROGRAMS = {
     "levels of tiles": lambda: A.RandomClahe((1.0, 40.0), (3, 2), p=0.8),
     "range": lambda: A.RandomAutoContrast(p=0.8),
     "means of channels": lambda: A.CommonCorruption("contrast", 2, p=0.8),
+    "blocks": lambda: A.RandomJPEG((20.0, 80.0), p=0.8),
     "illumination": lambda: A.RandomLinearIllumination(p=0.8),
     "fog": lambda: A.RandomFog(p=1.0),
     "frost": lambda: A.RandomFrost(torch.rand(2, 3, 70, 140), p=0.8),
@@ -81,7 +82,7 @@ def test_other_channels_and_long_lists(device):
 
 LONG = [
     *("jitter", "sharpness", "medians", "ringing", "glass", "levels", "range", "means of channels"),
-    *("illumination", "speckle", "erasing"),
+    *("blocks", "illumination", "speckle", "erasing"),
 ]
 
 
@@ -109,7 +110,7 @@ def test_pixels_that_stay_pass_their_gradients(name, device):
     assert torch.equal(found[1], grads[1] if name == "levels" else torch.zeros_like(grads[1]))
 
 
-@pytest.mark.parametrize("name", ["medians", "range", "means of channels"])
+@pytest.mark.parametrize("name", ["medians", "range", "means of channels", "blocks"])
 def test_gradients_of_images_of_one_size_are_those_of_a_batch(name, device):
     images = [x[:, :16, :16].clone().requires_grad_() for x in pictures(device, [(16, 17), (33, 20), (40, 64)])]
     augment, batch = PROGRAMS[name](), torch.stack(images).detach().requires_grad_()
@@ -122,7 +123,7 @@ def test_gradients_of_images_of_one_size_are_those_of_a_batch(name, device):
 def test_an_image_that_appears_twice_gets_both_gradients(device):
     first, second = pictures(device, [(16, 17), (33, 20)])
     first.requires_grad_()
-    for name in ("medians", "ringing", "glass", "range", "levels", "means of channels", "sharpness"):
+    for name in ("medians", "ringing", "glass", "range", "levels", "means of channels", "sharpness", "blocks"):
         augment, seeds = PROGRAMS[name](), torch.arange(3, device=device)
         results = augment([first, second, first], seed=seeds)
         grads = [torch.rand_like(y) for y in results]

@@ -13,6 +13,7 @@ from kvision.enhance.equalize import _equalize as equalize
 from kvision.enhance.equalize import equalize_backward
 from kvision.enhance.jpeg import _backward as _of_jpeg
 from kvision.enhance.jpeg import _jpeg as jpeg
+from kvision.enhance.jpeg import _jpeg_backward as jpeg_backward
 from kvision.enhance.min_max import _backward as normalize_min_max_backward
 from kvision.enhance.min_max import _normalize_min_max as normalize_min_max
 from kvision.geometry.transform.lists.arguments import row
@@ -81,4 +82,22 @@ register_filter(
     lambda needs, grad, x, *args: [equalize_backward(grad, x, None), None],
     of_images=lambda grads, images, chosen, *args: _equalize_list_backward([*images, *grads], chosen, None),
 )
-register_filter("jpeg_list", jpeg, lambda b, *args: (*(row(t, b) for t in args[:3]), args[3]), _of_jpeg)
+
+
+def _of_jpeg_sample(b: int, *args: Any) -> tuple[Any, ...]:
+    return *(row(t, b) for t in args[:3]), args[3]
+
+
+def _of_coded(b: int, grad: Tensor, x: Tensor, *args: Any) -> Tensor:
+    of_image: Tensor = jpeg_backward.reference(grad, x, *_of_jpeg_sample(b, *args), True, False)[0]
+    return of_image
+
+
+_jpeg_list_backward = register_list_backward("jpeg_list_backward", jpeg_backward, by_samples(_of_coded))
+register_filter(
+    "jpeg_list",
+    jpeg,
+    _of_jpeg_sample,
+    _of_jpeg,
+    of_images=lambda grads, images, *args: _jpeg_list_backward([*images, *grads], *args),
+)

@@ -1,6 +1,7 @@
 // Images behind a layer on CUDA: a thread has adjacent pixels of a row, in all channels. A block of a list finds its
 // sample in the table.
 #include "augmentation/corruption/layer.h"
+#include "core/block_reduce.cuh"
 #include "core/launch.cuh"
 #include "core/stencils/filter_list.cuh"
 #include "core/stencils/gradient_list.cuh"
@@ -105,6 +106,56 @@ __global__ void __launch_bounds__(kLayerThreads) gradients_of_list(__grid_consta
   }
 }
 
+template <class T>
+__global__ void __launch_bounds__(kLayerThreads) find_fog_factors(__grid_constant__ FogFactors<T> const p) {
+  int const b = int(blockIdx.x * kLayerThreads + threadIdx.x);
+  if (b < p.count) p.find(b);
+}
+
+// Calls use(x, m, gradient, where that of x is stored, the factors) for the values of a block of an image.
+template <class T, class Use>
+__device__ __forceinline__ void for_each_fogged(FogBackward<T> const& one, unsigned block, Use const& use) {
+  using F = Compute<T>;
+  int const width = int(one.x.width), first = int(block) * kFogPixels,
+            last = min(first + kFogPixels, int(one.x.height) * width);
+  for (int i = first + int(threadIdx.x); i < last; i += kLayerThreads) {
+    int const row = i / width, column = i - row * width;
+    F const* const layer = one.layer_of(0) + row * one.layer_strides[2] + column * one.layer_strides[3];
+    for (int c = 0; c < int(one.channels); ++c)
+      use(F(read(one.x.row(c, row)[column * one.x.step])), layer[c * one.layer_strides[1]],
+          F(read(one.grad.row(c, row)[column * one.grad.step])), one.grad_x.row(c, row) + column * one.grad_x.step,
+          LayerFactors<F>(one, 0, c));
+  }
+}
+template <class T>
+__global__ void __launch_bounds__(kLayerThreads) sum_fog_of_list(__grid_constant__ FogBackwardList<T> const p) {
+  using F = Compute<T>;
+  unsigned block;
+  FogBackward<T> const* const one = sample_of_block(p, block);
+  if (!one) return;
+  F const most = *one->brightest;
+  LayerFactors<F> const slopes(one->slopes, F(1));
+  double sums[2] = {};
+  for_each_fogged(*one, block, [&](F x, F m, F g, T*, LayerFactors<F> const& factors) {
+    sums[0] += factors.vjp_of_factors(slopes, x, m, g), sums[1] += x == most;
+  });
+  store_block_sums<kLayerThreads>(sums, p.sums + 2 * int64_t(blockIdx.x));
+}
+template <class T>
+__global__ void __launch_bounds__(kLayerThreads) fog_gradients_of_list(__grid_constant__ FogBackwardList<T> const p) {
+  using F = Compute<T>;
+  unsigned block;
+  FogBackward<T> const* const one = sample_of_block(p, block);
+  if (!one) return;
+  int64_t const first = int64_t(blockIdx.x) - block;
+  double const* const sums =
+      sum_rows<kLayerThreads, 2>(p.sums + 2 * first, ceil_div(one->x.height * one->x.width, int64_t(kFogPixels)));
+  F const most = *one->brightest, share = F(sums[0] / max(sums[1], 1.));
+  for_each_fogged(*one, block, [&](F x, F m, F g, T* to, LayerFactors<F> const& factors) {
+    *to = round_to<T>(factors.vjp(x, m, g) + (x == most ? share : F(0)));
+  });
+}
+
 template <int P, bool WholeLayer, class T>
 int launch_layer(AddLayer<T> const& p, CUstream_st* stream) {
   dim3 const blocks(unsigned(ceil_div(p.x.height * (p.x.width / P), kLayerThreads)),
@@ -140,8 +191,26 @@ int add_layer_list_backward(AddLayerBackwardList<T> const& p, CUstream_st* strea
       });
 }
 
+template <class T>
+int fog_factors(FogFactors<T> const& p, CUstream_st* stream) {
+  find_fog_factors<<<unsigned(ceil_div(p.count, int64_t(kLayerThreads))), kLayerThreads, 0, stream>>>(p);
+  return cudaGetLastError();
+}
+
+template <class T>
+int fog_list_backward(FogBackwardList<T> const& p, CUstream_st* stream) {
+  return launch_gradients(
+      p, [](FogBackward<T> const& one) { return ceil_div(one.x.height * one.x.width, int64_t(kFogPixels)); },
+      [&](FogBackwardList<T> const& list, unsigned blocks) {
+        sum_fog_of_list<<<blocks, kLayerThreads, 0, stream>>>(list);
+        fog_gradients_of_list<<<blocks, kLayerThreads, 0, stream>>>(list);
+      });
+}
+
 KV_INSTANTIATE_WITH_BYTES(add_layer, AddLayer)
 KV_INSTANTIATE_WITH_BYTES(add_layer_list, AddLayerList)
 KV_INSTANTIATE(add_layer_list_backward, AddLayerBackwardList)
+KV_INSTANTIATE_WITH_BYTES(fog_factors, FogFactors)
+KV_INSTANTIATE(fog_list_backward, FogBackwardList)
 
 }  // namespace kv::augmentation::cuda

@@ -81,12 +81,12 @@ struct AddLayerBackward : AddLayer<T> {
   Planes<T const> grad;
   Planes<T> grad_x;
 };
-template <class T>
-struct AddLayerBackwardList : GradientList<AddLayerBackward<T>, T> {
+template <class T, class Gradient = AddLayerBackward<T>>
+struct AddLayerBackwardList : GradientList<Gradient, T> {
   PackedLayers<kMaxListedGradients> packed;
 
-  KV_HD AddLayerBackward<T> sample(int b) const {
-    AddLayerBackward<T> one = GradientList<AddLayerBackward<T>, T>::sample(b);
+  KV_HD Gradient sample(int b) const {
+    Gradient one = GradientList<Gradient, T>::sample(b);
     if (packed.are_packed) one.select_packed(packed.begin_of(b, this->images));
     return one;
   }
@@ -97,23 +97,69 @@ template <class F>
 struct LayerFactors {
   F a, b, c, d, most;
 
+  KV_HD LayerFactors(F const* from, F most)
+      : a(from[0]), b(from[1]), c(from[2] * most), d(from[3] * most), most(most) {}
   template <class T>
-  KV_HD LayerFactors(AddLayer<T> const& p, int64_t sample, int64_t channel) : most(p.full_range) {
-    F const* const from = p.factors + sample * p.factor_strides[0] + channel * p.factor_strides[1];
-    a = from[0], b = from[1], c = from[2] * most, d = from[3] * most;
-  }
-  KV_HD F behind(F x, F m) const { return within(within(x) * (a + b * m) + (c * m + d)); }
+  KV_HD LayerFactors(AddLayer<T> const& p, int64_t sample, int64_t channel)
+      : LayerFactors(p.factors + sample * p.factor_strides[0] + channel * p.factor_strides[1], p.full_range) {}
+  KV_HD F behind(F x, F m) const { return within(before_clamp(x, m)); }
   // The gradient of x, which is 0 where x or the result is clamped.
-  KV_HD F vjp(F x, F m, F g) const {
-    F const slope = a + b * m, y = within(x) * slope + (c * m + d);
-    return is_clamped(x) || is_clamped(y) ? F(0) : g * slope;
+  KV_HD F vjp(F x, F m, F g) const { return is_clamped(x) || is_clamped(before_clamp(x, m)) ? F(0) : g * (a + b * m); }
+  // That of a number on which the factors depend with these slopes.
+  KV_HD F vjp_of_factors(LayerFactors const& slopes, F x, F m, F g) const {
+    return is_clamped(before_clamp(x, m)) ? F(0) : g * slopes.before_clamp(x, m);
   }
+  KV_HD F before_clamp(F x, F m) const { return within(x) * (a + b * m) + (c * m + d); }
   KV_HD bool is_clamped(F x) const { return x < 0 || x > most; }
   KV_HD F within(F x) const { return x < 0 ? F(0) : x > most ? most : x; }  // NaN stays
+};
+
+// The factors of fog of the images of a list, each with its largest value, and their slopes along this value.
+// corruption/fog.py defines them.
+template <class T>
+struct FogFactors {
+  using F = Compute<T>;
+  F const *brightest, *numbers;  // (B,) of at least 0; (B or 1, 3): the amount, and the range of the layer
+  F *factors, *slopes;           // (B, 1, 4)
+  int64_t count, number_stride;
+  F full_range;
+
+  KV_HD void find(int64_t b) const {
+    F const *const own = numbers + b * number_stride, most = brightest[b];
+    F const amount = own[0], low = own[1], least = F(1e-12);
+    F const inside = (most > full_range ? full_range : most) / full_range, sum = inside + amount, range = own[2] - low;
+    F const divisor = sum < least ? least : sum, darker = inside / divisor;
+    F const clouds = darker * amount / (range < least ? least : range);
+    set(factors + 4 * b, darker, clouds, low);
+    F const slope = most > full_range ? F(0) : (1 - (sum < least ? F(0) : darker)) / divisor;
+    set(slopes + 4 * b, slope, slope * amount / (range < least ? least : range), low);
+  }
+  static KV_HD void set(F* to, F darker, F clouds, F low) {
+    to[0] = darker, to[1] = 0, to[2] = clouds, to[3] = -low * clouds;
+  }
+};
+
+// The gradients of images behind fog, whose pixels of the largest value share that of the factors.
+template <class T>
+struct FogBackward : AddLayerBackward<T> {
+  Compute<T> const *slopes, *brightest;
+
+  KV_HD void select(int64_t b) {
+    slopes += b * this->factor_strides[0], brightest += b;
+    AddLayer<T>::select(b);
+  }
+};
+// On the CPU an item is an image, on CUDA a part of one.
+constexpr int kFogPixels = 4096;
+template <class T>
+struct FogBackwardList : AddLayerBackwardList<T, FogBackward<T>> {
+  double* sums;  // of each item: the gradient of the factors, and how many pixels have the largest value
 };
 
 KV_KERNEL(add_layer, AddLayer)
 KV_KERNEL(add_layer_list, AddLayerList)
 KV_KERNEL(add_layer_list_backward, AddLayerBackwardList)
+KV_KERNEL(fog_factors, FogFactors)
+KV_KERNEL(fog_list_backward, FogBackwardList)
 
 }  // namespace kv::augmentation

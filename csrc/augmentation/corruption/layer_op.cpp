@@ -106,9 +106,9 @@ Tensor add_layer(Tensor const& images, Tensor const& layer, OptionalTensor const
   return y;
 }
 
-Tensors add_layer_list(Tensors const& images, OptionalTensor const& chosen, Tensor const& layer,
-                       OptionalTensor const& windows, Tensor const& factors) {
-  ListedImages const list("add_layer_list", images, chosen);
+Tensors behind_layer(char const* op, Tensors const& images, OptionalTensor const& chosen, Tensor const& layer,
+                     OptionalTensor const& windows, Tensor const& factors) {
+  ListedImages const list(op, images, chosen);
   LayerArguments const arguments(list.kept.op, list.like(), layer, windows, factors);
   std::vector<int64_t> const begins = arguments.begins(images);
   int64_t first = 0;
@@ -120,6 +120,11 @@ Tensors add_layer_list(Tensors const& images, OptionalTensor const& chosen, Tens
     });
   });
   return list.kept.results;
+}
+
+Tensors add_layer_list(Tensors const& images, OptionalTensor const& chosen, Tensor const& layer,
+                       OptionalTensor const& windows, Tensor const& factors) {
+  return behind_layer("add_layer_list", images, chosen, layer, windows, factors);
 }
 
 // The gradients of the images. The list has the images, and behind them the gradients of the results.
@@ -141,6 +146,63 @@ Tensors add_layer_list_backward(Tensors const& images_and_grads, OptionalTensor 
   return list.kept.results;
 }
 
+// The largest values of images, and the factors of fog that follow from these, with their slopes.
+struct FogOfImages {
+  Tensor brightest, factors, slopes;
+
+  FogOfImages(char const* op, Tensors const& images, Tensor const& numbers) : brightest(steps::brightest(images)) {
+    int64_t const count = int64_t(images.size());
+    Tensor const& x = images[0];
+    KV_CHECK(numbers.dim() == 2 && (numbers.size(0) == count || numbers.size(0) == 1) && numbers.size(1) == 3 &&
+                 numbers.scalar_type() == brightest.scalar_type() && numbers.device() == x.device(),
+             op, ": expected numbers of shape (B, 3), of the type that is computed in, on the device of images");
+    Tensor const own = dense(numbers);
+    factors = empty({count, 1, 4}, brightest), slopes = empty({count, 1, 4}, brightest);
+    dispatch_floating_and_uint8(op, x, [&]<class T>(Type<T>) {
+      using F = Compute<T>;
+      FogFactors<T> const p{
+          data_ptr<F const>(brightest), data_ptr<F const>(own),     data_ptr<F>(factors), data_ptr<F>(slopes), count,
+          own.size(0) > 1 ? 3 : 0,      F(sizeof(T) == 1 ? 255 : 1)};
+      KV_RUN(fog_factors, x, p, count, 16);
+    });
+  }
+};
+
+Tensors fog_list(Tensors const& images, OptionalTensor const& chosen, Tensor const& layer, Tensor const& numbers) {
+  FogOfImages const fog("fog_list", images, numbers);
+  return behind_layer("fog_list", images, chosen, layer, {}, fog.factors);
+}
+
+Tensors fog_list_backward(Tensors const& images_and_grads, OptionalTensor const& chosen, Tensor const& layer,
+                          Tensor const& numbers) {
+  constexpr char const* op = "fog_list_backward";
+  auto const [images, given] = halves(op, images_and_grads);
+  ListedImages const list(op, images, chosen);
+  FogOfImages const fog(op, images, numbers);
+  LayerArguments const arguments(op, list.like(), layer, {}, fog.factors);
+  std::vector<int64_t> const begins = arguments.begins(images);
+  Tensors const grads = list.in_layout_of_images(given);
+  auto const items_of = []([[maybe_unused]] Tensor const& x) {
+#if defined(KV_CUDA)
+    return ceil_div(x.size(1) * x.size(2), int64_t(kFogPixels));
+#else
+    return int64_t(1);
+#endif
+  };
+  dispatch_floating(op, list.like(), [&]<class T>(Type<T>) {
+    using F = Compute<T>;
+    FogBackward<T> const all{
+        {arguments.params<T>(), {}, {}}, data_ptr<F const>(fog.slopes), data_ptr<F const>(fog.brightest)};
+    list.for_each_gradient_table<FogBackwardList<T>>(all, grads, items_of, [&](FogBackwardList<T>& p, size_t first) {
+      set_packed(p.packed, begins, int64_t(first), p.count);
+      Tensor const sums = empty({p.items, 2}, list.like(), Layout::planar, ScalarType::Double);
+      p.sums = data_ptr<double>(sums);
+      KV_RUN(fog_list_backward, list.like(), p, p.items, 12 * list.like().numel() / list.like().size(0));
+    });
+  });
+  return list.kept.results;
+}
+
 }  // namespace
 
 KV_OPERATOR(add_layer, "(Tensor images, Tensor layer, Tensor? windows, Tensor factors) -> Tensor")
@@ -150,5 +212,9 @@ KV_OPERATOR(add_layer_list,
             "(Tensor[] images, Tensor? chosen, Tensor layer, Tensor? windows, Tensor factors) -> Tensor[]")
 KV_OPERATOR(add_layer_list_backward,
             "(Tensor[] images_and_grads, Tensor? chosen, Tensor layer, Tensor? windows, Tensor factors) -> Tensor[]")
+
+// The same of images behind fog; numbers (B or 1, 3).
+KV_OPERATOR(fog_list, "(Tensor[] images, Tensor? chosen, Tensor layer, Tensor numbers) -> Tensor[]")
+KV_OPERATOR(fog_list_backward, "(Tensor[] images_and_grads, Tensor? chosen, Tensor layer, Tensor numbers) -> Tensor[]")
 
 }  // namespace kv::augmentation

@@ -44,7 +44,6 @@ def grows(augment, images):
 BACKWARD_BY_SIZE = {
     "an antialiased warp": {"RandomZoomOut"},
     "noise of hue and light": {"ISONoise"},
-    "a layer that depends on the image": {"RandomFog"},
     "reads of neighbors": {"Downscale", "ZoomBlur"},
 }
 

@@ -55,7 +55,7 @@ def _by_image(
     return [own[None] for own in unpacked(layer, sizes(images), 1)], windows, factors
 
 
-def _of_sample(b: int, layer: Layers, windows: Tensor | None, factors: Tensor) -> tuple[Tensor | None, ...]:
+def arguments_of_sample(b: int, layer: Layers, windows: Tensor | None, factors: Tensor) -> tuple[Tensor | None, ...]:
     """The arguments of an image of a list: without windows the upper left part of its layer."""
     own = row(factors, b)
     if not isinstance(layer, Tensor):
@@ -70,7 +70,7 @@ def _gradients_reference(images_and_grads: Sequence[Tensor], chosen: Tensor | No
     each, of_each = [], _by_image(images, *args)
     for b, (x, g) in enumerate(zip(images, grads)):
         of_image: Any = add_layer.differentiate_reference(
-            (True, False, False, False), g[None], x[None], *_of_sample(b, *of_each)
+            (True, False, False, False), g[None], x[None], *arguments_of_sample(b, *of_each)
         )[0]
         each.append(of_image[0] if chosen is None else torch.where(row(chosen, b) != 0, of_image[0], g))
     return each
@@ -80,7 +80,7 @@ _add_layer_list_backward = register_list_backward("add_layer_list_backward", add
 register_filter(
     "add_layer_list",
     add_layer,
-    _of_sample,
+    arguments_of_sample,
     of_images=lambda grads, images, *args: _add_layer_list_backward([*images, *grads], *args),
     by_image=_by_image,
 )

@@ -9,13 +9,13 @@ import torch
 from torch import Tensor
 
 from kvision import _check
-from kvision._clamp import clamp
 from kvision._constants import constant
 from kvision._dtype import compute_dtype
 from kvision.augmentation import ranges
 from kvision.augmentation.corruption.drops import drop_depths, drop_reliefs, mark_stains
+from kvision.augmentation.corruption.fog import FogOfList, fog_factors
 from kvision.augmentation.corruption.glass import reach_of
-from kvision.augmentation.corruption.layer import layered
+from kvision.augmentation.corruption.layer import add_layer, layered
 from kvision.augmentation.corruption.layer_base import LayerAugmentation
 from kvision.augmentation.engine import Execution, Params
 from kvision.augmentation.lists import filter_lists, statistics_lists
@@ -35,26 +35,22 @@ SpatterMode: TypeAlias = Literal["rain", "mud"]
 _COLORS = {"rain": (175 / 255, 238 / 255, 238 / 255), "mud": (63 / 255, 42 / 255, 20 / 255)}
 
 
-def fogged(x: Tensor, plasma: Tensor, amount: Tensor, images: Sequence[Tensor] | None = None) -> Operation:
+def fogged(x: Tensor, plasma: Tensor, amount: Tensor, images: Sequence[Tensor] | None = None) -> Operation | FogOfList:
     """What puts images under clouds (B, 1, H, W), stretched to [0, 1], of amounts (B,); the brightest value stays as it is.
 
     Those of a list are like a batch `x`, and the clouds as large as the largest of them.
     """
     if images is None:
-        most = x.amax((1, 2, 3))
         low, high = torch.aminmax(plasma.flatten(1), dim=1)
     else:
-        most = brightest(images)
         down, right = sides_of_list(images)
         beyond = ~(down.inside(plasma)[:, None, :, None] & right.inside(plasma)[:, None, None])
         low = plasma.masked_fill(beyond, torch.inf).amin((1, 2, 3))
         high = plasma.masked_fill(beyond, -torch.inf).amax((1, 2, 3))
-    most = clamp(most, 0, 255 if x.dtype == torch.uint8 else 1)
-    if x.dtype == torch.uint8:
-        most = most.to(amount.dtype) / 255
-    darker = most.to(amount.dtype) / (most + amount).clamp(min=1e-12)
-    clouds = darker * amount / (high - low).clamp(min=1e-12)
-    return layered(plasma, darker[:, None], 0.0, clouds[:, None], (-low * clouds)[:, None])
+    numbers = torch.stack(torch.broadcast_tensors(amount, low, high), 1)
+    if images is not None:
+        return FogOfList(plasma, numbers)
+    return Operation(add_layer, (plasma, None, fog_factors(x.amax((1, 2, 3)), numbers, x.dtype == torch.uint8)))
 
 
 class RandomFog(LayerAugmentation, keeps_contract=True):
@@ -94,11 +90,11 @@ class RandomFog(LayerAugmentation, keeps_contract=True):
 
     _param_generator: PlasmaGenerator
 
-    def _operation(self, like: Tensor, params: Params) -> Operation:
+    def _operation(self, like: Tensor, params: Params) -> Any:
         plasma, amount = (params[name].to(like.device, compute_dtype(like)) for name in ("plasma", "intensity"))
         return fogged(like, plasma, amount)
 
-    def _operation_on_list(self, images: Sequence[Tensor], like: Tensor, execution: Execution) -> Operation:
+    def _operation_on_list(self, images: Sequence[Tensor], like: Tensor, execution: Execution) -> Any:
         assert execution.columns is not None
         values, noise = execution.columns.values, self._pixel_noise(execution, execution.redraw, like.device)
         plasma = self._param_generator.plasma(values, like.shape[1], sizes(images), noise).to(compute_dtype(like))

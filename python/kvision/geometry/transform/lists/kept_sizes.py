@@ -211,12 +211,13 @@ def by_samples(of_sample: Callable[..., Tensor]) -> Callable[..., list[Tensor]]:
     def reference(images_and_grads: Sequence[Tensor], chosen: Tensor | None, *args: Any) -> list[Tensor]:
         images, grads = lists.halves(images_and_grads)
         each = [of_sample(b, g[None], x[None], *args)[0] for b, (x, g) in enumerate(zip(images, grads))]
-        return each if chosen is None else _where_chosen(chosen, each, grads)
+        return each if chosen is None else where_chosen(chosen, each, grads)
 
     return reference
 
 
-def _where_chosen(chosen: Tensor, each: Sequence[Tensor], others: Sequence[Tensor]) -> list[Tensor]:
+def where_chosen(chosen: Tensor, each: Sequence[Tensor], others: Sequence[Tensor]) -> list[Tensor]:
+    """Images of a list, or others where `chosen`, (B,) or (1,), is 0."""
     return [torch.where(own != 0, y, x) for own, y, x in zip(chosen.expand(len(each)).unbind(), each, others)]
 
 
@@ -258,7 +259,7 @@ def register_filter(
         args = by_image(images, *args)
         of_each = [of.reference(x[None], *of_sample(b, *args)) for b, x in enumerate(images)]
         each = [_first(y)[0] for y in of_each]
-        each = each if chosen is None else _where_chosen(chosen, each, images)
+        each = each if chosen is None else where_chosen(chosen, each, images)
         return each if of_channels is None else [*each, torch.cat([more for _, more in of_each])]
 
     def gradients(needs: Sequence[bool], grads: Any, *saved: Any) -> list[Any]:

@@ -3,7 +3,9 @@
 #pragma once
 
 #include "augmentation/noise.h"
+#include "color/hue.h"
 #include "core/ceil_div.h"
+#include "core/stencils/gradient_list.h"
 
 namespace kv::augmentation {
 
@@ -35,6 +37,8 @@ struct IsoNoiseList {
   PixelNoiseList<T> noise;
   double* sums;
 
+  KV_HD int sample_of(int item) const { return noise.list.sample_of(item); }
+  KV_HD int first_of(int b) const { return noise.list.first[b]; }
   // A sample as a batch of one.
   KV_HD IsoNoise<T> sample(int b) const {
     PixelNoise<T> const one = noise.sample(b);
@@ -44,6 +48,40 @@ struct IsoNoiseList {
 
 KV_KERNEL(sum_lightness_list, IsoNoiseList)
 KV_KERNEL(iso_noise_list, IsoNoiseList)
+
+// The gradients y of images x; those of results, `grad`, lie as they do. Counts have none.
+template <class T>
+struct IsoNoiseBackward : IsoNoise<T> {
+  T const* grad;
+
+  KV_HD void select(int64_t b) { this->noise.skip(b); }
+  KV_HD PixelNoise<T> given() const {
+    PixelNoise<T> given = this->noise;
+    given.x = grad;
+    return given;
+  }
+};
+template <class T>
+struct IsoNoiseBackwardList : GradientList<IsoNoiseBackward<T>, T> {
+  double* sums;
+
+  KV_HD int first_of(int b) const { return this->first[b]; }
+  KV_HD IsoNoiseBackward<T> sample(int b) const {
+    IsoNoiseBackward<T> one = this->all;
+    one.select(b);
+    PixelNoise<T>& noise = one.noise;
+    noise.batch = 1, noise.pixels = int64_t(this->images[b].height) * this->images[b].width;
+    noise.x = static_cast<T const*>(this->images[b].data), noise.y = static_cast<T*>(this->results[b].data);
+    one.grad = static_cast<T const*>(this->grads[b].data);
+    if (noise.step == 1) noise.channel_stride = noise.pixels;
+    one.sums = sums + 2 * first_of(b), one.chunk = iso_chunk(noise.pixels), one.chunks = iso_chunks(noise.pixels);
+    return one;
+  }
+};
+
+KV_KERNEL(iso_noise_backward, IsoNoiseBackward)
+KV_KERNEL(sum_lightness_again, IsoNoiseBackwardList)
+KV_KERNEL(iso_noise_list_backward, IsoNoiseBackwardList)
 
 // Colors within [0, 1]; NaN stays.
 template <class F>
@@ -108,6 +146,27 @@ struct IsoSample {
     own.lightness = lighter < 0 ? F(0) : lighter > 1 ? F(1) : lighter;
     own.to_rgb(c);
     within_units(c);
+  }
+  // The gradient of the color c, for that of the result, which it replaces.
+  template <class V, class Exp, class Sqrt>
+  KV_HD void vjp(V const (&c)[3], V (&g)[3], F u, F normal, Exp const& exponential_of, Sqrt const& root_of) const {
+    using D = Dual<V, 3>;
+    D y[3];
+    for (int i = 0; i < 3; ++i) {
+      y[i] = constant<D>(F(0));
+      y[i].value = c[i] < F(0) ? constant<V>(F(0)) : c[i] > F(1) ? constant<V>(F(1)) : c[i];
+      y[i].d[i] = constant<V>(c[i] < F(0) || c[i] > F(1) ? F(0) : F(1));
+    }
+    color::rgb_to_hls(y, F(1e-8));
+    y[0] = y[0] + F(color::kTwoPi / 6) * sixths * normal;
+    D const lighter = y[1] + (F(1) - y[1]) * (poisson_quantile(u, rate, exponential_of, root_of) * intensity);
+    y[1] = lighter < F(0) ? constant<D>(F(0)) : lighter > F(1) ? constant<D>(F(1)) : lighter;
+    color::hls_to_rgb(y);
+    V sums[3] = {};
+    for (int j = 0; j < 3; ++j)
+      for (int i = 0; i < 3; ++i)
+        if (!(y[j] < F(0)) && !(y[j] > F(1))) sums[i] = sums[i] + g[j] * y[j].d[i];
+    for (int i = 0; i < 3; ++i) g[i] = rate == rate ? sums[i] : constant<V>(rate);
   }
 };
 

@@ -1,6 +1,39 @@
 // The noise of a sensor on the CPU: chunks [begin, end) of all samples. Compiled once per instruction set.
 #include "core/lanes.h"
-// Included after core/lanes.h, whose vectors it uses.
+
+namespace kv::color {
+namespace {
+
+// The functions of numbers that formulas of colors use.
+template <class F>
+KV_HD F floor_of(F x) {
+  return F(__builtin_floor(double(x)));
+}
+template <class F>
+KV_HD F absolute(F x) {
+  return x < 0 ? -x : x;
+}
+template <class F>
+KV_HD F reciprocal(F x) {
+  return 1 / x;
+}
+template <class F>
+KV_HD F quotient(F a, F b) {
+  return a / b;
+}
+template <class F>
+KV_HD F nan_max(F a, F b) {
+  return a > b || a != a ? a : b;
+}
+template <class F>
+KV_HD F nan_min(F a, F b) {
+  return a < b || a != a ? a : b;
+}
+
+}  // namespace
+}  // namespace kv::color
+
+// Included after those, which its formulas use.
 #include "augmentation/corruption/iso_noise.h"
 #include "geometry/transform/lists/list_items.h"
 
@@ -41,16 +74,24 @@ void sum_lightness(IsoNoise<T> const& p, int64_t begin, int64_t end) {
   }
 }
 
+namespace {
+
 template <class T>
-void iso_noise(IsoNoise<T> const& p, int64_t begin, int64_t end) {
+KV_HD IsoSample<Compute<T>> iso_sample(IsoNoise<T> const& p, int64_t b) {
+  double sums[2] = {};
+  for (int64_t k = 0; k < 2 * p.chunks; ++k) sums[k % 2] += p.sums[2 * b * p.chunks + k];
+  Compute<T> const* const parameters = p.noise.parameters + b * p.noise.parameter_stride;
+  return {parameters[0], parameters[1], sums[0], sums[1], double(p.noise.pixels)};
+}
+// Calls use(sample, where the pixel begins, its uniform and its normal number) for the chosen pixels of chunks
+// [begin, end), and keep(where a pixel begins) for the others.
+template <class T, class Use, class Keep>
+KV_HD void for_each_pixel(IsoNoise<T> const& p, int64_t begin, int64_t end, Use const& use, Keep const& keep) {
   using F = Compute<T>;
   PixelNoise<T> const& noise = p.noise;
   for (int64_t unit = begin; unit < end; ++unit) {
     int64_t const b = unit / p.chunks, i = unit % p.chunks, first = noise.offset(b, 0);
-    double sums[2] = {};
-    for (int64_t k = 0; k < 2 * p.chunks; ++k) sums[k % 2] += p.sums[2 * b * p.chunks + k];
-    F const* const parameters = noise.parameters + b * noise.parameter_stride;
-    IsoSample<F> const sample(parameters[0], parameters[1], sums[0], sums[1], double(noise.pixels));
+    IsoSample<F> const sample = iso_sample(p, b);
     float const* const maps = noise.uniform ? noise.uniform + 2 * b * noise.pixels : nullptr;
     for (int64_t four = p.begin(i); four < p.end(i); four += 4) {
       F u[4], n[4];
@@ -64,21 +105,70 @@ void iso_noise(IsoNoise<T> const& p, int64_t begin, int64_t end) {
       }
       for (int k = 0; k < count; ++k) {
         int64_t const at = first + (four + k) * noise.step;
-        if (!noise.is_chosen(b)) {
-          for (int j = 0; j < 3; ++j) noise.y[at + j * noise.channel_stride] = noise.x[at + j * noise.channel_stride];
-          continue;
-        }
-        F c[3];
-        read_color(noise, at, c);
-        sample.change(
-            c, u[k], n[k], [](F exponent) { return F(__builtin_exp(exponent)); },
-            [](F square) { return F(__builtin_sqrt(square)); });
-        for (int j = 0; j < 3; ++j)
-          store<1>(noise.y + at + j * noise.channel_stride, Lanes<F, 1>(c[j] * noise.full_range));
+        noise.is_chosen(b) ? use(sample, at, u[k], n[k]) : keep(at);
       }
     }
   }
 }
+
+}  // namespace
+
+template <class T>
+void iso_noise(IsoNoise<T> const& p, int64_t begin, int64_t end) {
+  using F = Compute<T>;
+  PixelNoise<T> const& noise = p.noise;
+  for_each_pixel(
+      p, begin, end,
+      [&](IsoSample<F> const& sample, int64_t at, F u, F n) KV_INLINE {
+        F c[3];
+        read_color(noise, at, c);
+        sample.change(
+            c, u, n, [](F exponent) KV_INLINE { return F(__builtin_exp(exponent)); },
+            [](F square) KV_INLINE { return F(__builtin_sqrt(square)); });
+        for (int j = 0; j < 3; ++j)
+          store<1>(noise.y + at + j * noise.channel_stride, Lanes<F, 1>(c[j] * noise.full_range));
+      },
+      [&](int64_t at) KV_INLINE {
+        for (int j = 0; j < 3; ++j) noise.y[at + j * noise.channel_stride] = noise.x[at + j * noise.channel_stride];
+      });
+}
+
+template <class T>
+void iso_noise_backward(IsoNoiseBackward<T> const& p, int64_t begin, int64_t end) {
+  using F = Compute<T>;
+  PixelNoise<T> const& noise = p.noise;
+  for_each_pixel(
+      p, begin, end,
+      [&](IsoSample<F> const& sample, int64_t at, F u, F n) KV_INLINE {
+        Lanes<F, 1> c[3], g[3];
+        for (int j = 0; j < 3; ++j) {
+          c[j] = load<1>(noise.x + at + j * noise.channel_stride);
+          g[j] = load<1>(p.grad + at + j * noise.channel_stride);
+        }
+        sample.vjp(
+            c, g, u, n, [](F exponent) KV_INLINE { return F(__builtin_exp(exponent)); },
+            [](F square) KV_INLINE { return F(__builtin_sqrt(square)); });
+        for (int j = 0; j < 3; ++j) store<1>(noise.y + at + j * noise.channel_stride, g[j]);
+      },
+      [&](int64_t at) KV_INLINE {
+        for (int j = 0; j < 3; ++j) noise.y[at + j * noise.channel_stride] = p.grad[at + j * noise.channel_stride];
+      });
+}
+
+namespace {
+
+// Calls run(sample, first chunk, chunk behind the last) for the items [begin, end).
+template <class T, class Run>
+void for_each_sample(IsoNoiseBackwardList<T> const& p, int64_t begin, int64_t end, Run const& run) {
+  while (begin < end) {
+    int const b = p.sample_of(int(begin));
+    int64_t const first = p.first_of(b), last = min(end, int64_t(p.end_of(b)));
+    run(p.sample(b), begin - first, last - first);
+    begin = last;
+  }
+}
+
+}  // namespace
 
 template <class T>
 void sum_lightness_list(IsoNoiseList<T> const& p, int64_t begin, int64_t end) {
@@ -93,9 +183,25 @@ void iso_noise_list(IsoNoiseList<T> const& p, int64_t begin, int64_t end) {
   });
 }
 
+template <class T>
+void sum_lightness_again(IsoNoiseBackwardList<T> const& p, int64_t begin, int64_t end) {
+  for_each_sample(p, begin, end, [&](IsoNoiseBackward<T> const& one, int64_t first, int64_t last) {
+    KV_ISA::sum_lightness<T>(one, first, last);
+  });
+}
+template <class T>
+void iso_noise_list_backward(IsoNoiseBackwardList<T> const& p, int64_t begin, int64_t end) {
+  for_each_sample(p, begin, end, [&](IsoNoiseBackward<T> const& one, int64_t first, int64_t last) {
+    KV_ISA::iso_noise_backward(one, first, last);
+  });
+}
+
 KV_INSTANTIATE_WITH_BYTES(sum_lightness, IsoNoise)
 KV_INSTANTIATE_WITH_BYTES(iso_noise, IsoNoise)
 KV_INSTANTIATE_WITH_BYTES(sum_lightness_list, IsoNoiseList)
 KV_INSTANTIATE_WITH_BYTES(iso_noise_list, IsoNoiseList)
+KV_INSTANTIATE(iso_noise_backward, IsoNoiseBackward)
+KV_INSTANTIATE(sum_lightness_again, IsoNoiseBackwardList)
+KV_INSTANTIATE(iso_noise_list_backward, IsoNoiseBackwardList)
 
 }  // namespace kv::augmentation::KV_ISA

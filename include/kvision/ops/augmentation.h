@@ -10,6 +10,7 @@ namespace kvision::ops {
 namespace detail {
 
 inline variable_list apply_operation_gradients(Backward const& b);
+inline variable_list iso_noise_gradients(Backward const& b);
 inline variable_list paste_pieces_gradients(Backward const& b);
 inline variable_list paste_pieces_backward_gradients(Backward const& b);
 inline variable_list salt_and_pepper_gradients(Backward const& b);
@@ -51,7 +52,7 @@ inline constexpr Operator<"read_neighbors", Tensor(Tensor images, Tensor keys, O
 
 inline constexpr Operator<"iso_noise", Tensor(Tensor images, Tensor parameters, Tensor keys, OptionalTensor seeds,
                                               OptionalTensor chosen, OptionalTensor maps, Ints plan)>
-    iso_noise{no_gradient};
+    iso_noise{Rule{detail::iso_noise_gradients}};
 
 // --- augmentation/corruption/layer_op.cpp
 
@@ -205,6 +206,13 @@ namespace detail {
 
 inline variable_list apply_operation_gradients(Backward const& b) {
   return b.run("apply_operation_backward", {b.grads[0], b.arguments[0], b.arguments[1], b.arguments[2]}, no_gradient);
+}
+
+inline variable_list iso_noise_gradients(Backward const& b) {
+  return b.run("iso_noise_backward",
+               {b.grads[0], b.arguments[0], b.arguments[1], b.arguments[2], b.arguments[3], b.arguments[4],
+                b.arguments[5], b.arguments[6]},
+               no_gradient);
 }
 
 inline variable_list paste_pieces_gradients(Backward const& b) {

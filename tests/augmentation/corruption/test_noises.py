@@ -13,9 +13,8 @@ PLAN = (1, 2, 3, 0)
 
 
 class TestIsoNoise(OpTests):
-    operators = ("iso_noise",)
+    operators = ("iso_noise", "iso_noise_backward")
     bytes = True
-    differentiable = False
     channels = 3
     small = (1, 3, 4, 5)
     variants = [
@@ -32,6 +31,11 @@ class TestIsoNoise(OpTests):
         x = x if x.is_floating_point() or x.dtype == torch.uint8 else x.float()
         own = torch.float64 if x.dtype == torch.float64 else torch.float32
         return iso_noise(x, parameters.to(own), KEYS[:1], seeds, None, None, (0, *PLAN[1:]))
+
+    def exercise(self, x, kwargs):
+        """The gradient of images alone: that of parameters is the reference's, which calls color programs."""
+        leaf = x.detach().requires_grad_()
+        torch.autograd.grad(self.call(leaf, kwargs).sum(), leaf)
 
     def test_wrong_kinds(self, variant, device):
         pytest.skip("the classes that call the operator check its input")

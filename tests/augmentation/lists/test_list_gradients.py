@@ -33,6 +33,7 @@ PROGRAMS = {
     "fog": lambda: A.RandomFog(p=0.8),
     "frost": lambda: A.RandomFrost(torch.rand(2, 3, 70, 140), p=0.8),
     "plasma": lambda: A.RandomPlasmaShadow(p=1.0),
+    "hue and light": lambda: A.ISONoise(p=0.8),
     "factors of noise": lambda: A.MultiplicativeNoise((0.5, 1.5), True, True, p=0.8),
     "speckle": lambda: A.SpeckleNoise((0.3, 0.5), p=1.0),
     "clamped noise": lambda: A.CommonCorruption("gaussian_noise", 5),
@@ -82,7 +83,7 @@ def test_other_channels_and_long_lists(device):
 
 LONG = [
     *("jitter", "sharpness", "medians", "ringing", "glass", "levels", "range", "means of channels"),
-    *("blocks", "fog", "illumination", "speckle", "erasing"),
+    *("blocks", "fog", "hue and light", "illumination", "speckle", "erasing"),
 ]
 
 
@@ -110,7 +111,7 @@ def test_pixels_that_stay_pass_their_gradients(name, device):
     assert torch.equal(found[1], grads[1] if name == "levels" else torch.zeros_like(grads[1]))
 
 
-@pytest.mark.parametrize("name", ["medians", "range", "means of channels", "blocks"])
+@pytest.mark.parametrize("name", ["medians", "range", "means of channels", "blocks", "hue and light"])
 def test_gradients_of_images_of_one_size_are_those_of_a_batch(name, device):
     images = [x[:, :16, :16].clone().requires_grad_() for x in pictures(device, [(16, 17), (33, 20), (40, 64)])]
     augment, batch = PROGRAMS[name](), torch.stack(images).detach().requires_grad_()
@@ -123,7 +124,8 @@ def test_gradients_of_images_of_one_size_are_those_of_a_batch(name, device):
 def test_an_image_that_appears_twice_gets_both_gradients(device):
     first, second = pictures(device, [(16, 17), (33, 20)])
     first.requires_grad_()
-    for name in ("medians", "ringing", "glass", "range", "levels", "means of channels", "sharpness", "blocks", "fog"):
+    names = ("medians", "ringing", "glass", "range", "levels", "means of channels", "sharpness", "blocks", "fog")
+    for name in (*names, "hue and light"):
         augment, seeds = PROGRAMS[name](), torch.arange(3, device=device)
         results = augment([first, second, first], seed=seeds)
         grads = [torch.rand_like(y) for y in results]

@@ -12,7 +12,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._clamp import clamp
 from kvision._dtype import compute_dtype
-from kvision._ops import Operator, match_layout, register
+from kvision._ops import Operator, match_layout, register, vjp
 from kvision.augmentation import ranges
 from kvision.augmentation.draws import unit
 from kvision.augmentation.engine import Params
@@ -33,7 +33,8 @@ from kvision.augmentation.random_generator.mapped import FactorsGenerator, Mappe
 from kvision.augmentation.ranges import Numbers
 from kvision.augmentation.samples import per_sample
 from kvision.color.hls import hls_to_rgb, rgb_to_hls
-from kvision.geometry.transform.lists.kept_sizes import Operation, register_list
+from kvision.geometry.transform.lists.arguments import halves
+from kvision.geometry.transform.lists.kept_sizes import Operation, register_list, register_list_backward
 
 _GAMMA = 2.2  # of the encoding that shot noise undoes
 
@@ -164,8 +165,36 @@ def _iso_reference(
     return match_layout(torch.where(is_chosen(chosen, images), y, images), images)
 
 
-iso_noise = register("iso_noise", _iso_reference, bytes=True, casts_outputs=True, flatten=flatten_draws(keys=2))
-register_list("iso_noise_list", iso_noise, of_sample_without_maps)
+iso_noise = register(
+    "iso_noise",
+    _iso_reference,
+    gradients="images: iso_noise_backward; parameters: reference",
+    bytes=True,
+    casts_outputs=True,
+    flatten=flatten_draws(keys=2),
+)
+_iso_noise_backward = register(
+    "iso_noise_backward", vjp(_iso_reference), layout_of=1, casts_outputs=True, flatten=flatten_draws(keys=3)
+)
+
+
+def _iso_gradients_of_list(images_and_grads: Sequence[Tensor], *args: Any) -> list[Tensor]:
+    images, grads = halves(images_and_grads)
+    return [
+        _iso_noise_backward.reference(g[None], x[None], *of_sample_without_maps(b, *args))[0]
+        for b, (x, g) in enumerate(zip(images, grads))
+    ]
+
+
+_iso_noise_list_backward = register_list_backward(
+    "iso_noise_list_backward", _iso_noise_backward, _iso_gradients_of_list
+)
+register_list(
+    "iso_noise_list",
+    iso_noise,
+    of_sample_without_maps,
+    of_images=lambda grads, images, *args: _iso_noise_list_backward([*images, *grads], *args),
+)
 
 
 class ISONoise(IntensityAugmentationBase2D, keeps_contract=True):

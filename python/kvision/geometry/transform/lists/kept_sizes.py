@@ -188,16 +188,17 @@ def register_list_backward(
 
     def gradients(needs: Sequence[bool], grad_grads: Sequence[Tensor], both: Sequence[Tensor], *args: Any) -> list[Any]:
         tensors, count = args[: len(needs) - 1], len(both)
+        are_real = [x is not None and x.is_floating_point() for x in tensors]
 
         def result(*given: Tensor) -> tuple[Tensor, ...]:
             others = iter(given[count:])
-            own = [None if x is None else next(others) for x in tensors]
+            own = [next(others) if is_real else x for x, is_real in zip(tensors, are_real)]
             return tuple(reference(given[:count], *own, *args[len(tensors) :]))
 
-        _, vjp_fn = torch.func.vjp(result, *both, *(x for x in tensors if x is not None))  # type: ignore[misc]
-        of_all: Any = vjp_fn(tuple(grad_grads))
+        real = (x for x, is_real in zip(tensors, are_real) if is_real)
+        of_all: Any = torch.func.vjp(result, *both, *real)[1](tuple(grad_grads))
         others = iter(of_all[count:])
-        return [list(of_all[:count]), *(None if x is None else next(others) for x in tensors)]
+        return [list(of_all[:count]), *(next(others) if is_real else None for is_real in are_real)]
 
     return ListOperator(name, of, reference, fake=fake, backward=gradients, supports=supports)
 

@@ -286,7 +286,7 @@ bool plan_bands(PlanesToRgb<T> const& p, CodeRowsPlan const& codes, BandPlan& pl
     plan.rows = band_rows(p.rgb.count() / 3 * ceil_div(warps_across, plan.warps), height,
                           int64_t(kBandBlocks * most_warps / plan.warps) * multiprocessors());
     plan.steps = most_steps(p, down, plan.rows);
-    if (plan.bytes(p.code_bytes) <= max_shared_bytes(72 << 10)) return true;
+    if (plan.bytes(p.code_bytes) + int64_t(sizeof(BandRows)) <= max_shared_bytes(72 << 10)) return true;
     if (most < 16) return false;
   }
 }

@@ -233,7 +233,7 @@ bool plan_columns(PlanesToRgb<T> const& p, CodeRowsPlan const& codes, ColumnPlan
   plan.rows = band_rows(p.rgb.count() / 3 * ceil_div(warps_across, plan.warps), height,
                         int64_t(kColumnBlocks * kColumnWarps / plan.warps) * multiprocessors());
   plan.steps = most_steps(p, down, plan.rows);
-  return plan.bytes() <= 48 << 10;
+  return plan.bytes() + int(sizeof(BandRows)) <= 48 << 10;
 }
 
 template <class T>

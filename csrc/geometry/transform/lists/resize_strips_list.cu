@@ -76,7 +76,8 @@ int launch(ResizeWindowsList<T>& p, CUstream_st* stream) {
   if (most == 0) return kUnsupported;
   // Blocks take as long as their images are large: there are some more than run at once.
   height = ceil_div(height, int64_t(warps_down));
-  strips.rows = strip_height(columns, height, 6, resident, resident, min(height, int64_t(8)), min(most, int64_t(32)));
+  int64_t const rows = min(most, int64_t(32));
+  strips.rows = min(int(rows), strip_height(columns, height, 6, resident, resident, min(height, int64_t(8)), rows));
   int64_t blocks = 0;
   for (int b = 0; b < p.list.count; ++b) {
     p.list.first[b] = int(blocks);

@@ -32,6 +32,13 @@ def test_results_are_those_of_single_images(dtype, mode, device):
             assert_close(y, z, atol=1 if dtype == torch.uint8 else 2e-2)
 
 
+@pytest.mark.parametrize(("channels", "height", "size"), [(3, 34000, (17000, 2)), (1, 38400, (128, 2))])
+def test_long_images_shrink_as_by_themselves(channels, height, size, device):
+    images = pictures(device, sizes=((height, 4), (height + 9, 3)), channels=channels)
+    for y, x in zip(K.geometry.resize(images, size, antialias=True), images, strict=True):
+        assert_close(y, K.geometry.resize(x, size, antialias=True))
+
+
 @pytest.mark.derivatives
 @pytest.mark.parametrize("size", [(4, 3), 3])
 def test_gradients(size, device):

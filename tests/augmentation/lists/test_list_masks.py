@@ -129,6 +129,18 @@ def test_masks_that_do_not_fit_are_named():
             augment(images, given)
 
 
+@pytest.mark.parametrize("name", [name for name in AUGMENTATIONS if "objects" not in name])
+def test_masks_of_several_numbers_follow_as_alone(name, device):
+    images = pictures(device)
+    augment = A.AugmentationSequential(*AUGMENTATIONS[name](), data_keys=["input", "mask"])
+    masks = [m.repeat(i, 1, 1) for i, m in enumerate(masks_of(images, torch.uint8))]
+    for seed in range(3):
+        seeds = seeds_of(images) + seed
+        _, moved = augment(images, masks, seed=seeds)
+        for b, (x, mask) in enumerate(zip(images, masks)):
+            assert torch.equal(moved[b], augment(x[None], [mask], seed=seeds[b : b + 1])[1][0])
+
+
 def test_masks_of_several_types_and_numbers_follow_one_by_one(device):
     images, seeds = pictures(device), seeds_of(pictures(device))
     masks = [m.repeat(i, 1, 1) for i, m in enumerate(masks_of(images, torch.uint8))]

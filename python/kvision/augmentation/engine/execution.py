@@ -62,6 +62,7 @@ class Execution:
     map: Tensor | None = None  # of a deformation, kept by `keeps_map`
     found: Params | None = None  # parameters by name that labels gave
     noise: PixelNoise | None = None  # the source of the numbers of pixels, of an image of a list
+    whole: tuple[Execution, Sequence[int]] | None = None  # the call that had these samples, and their numbers in it
 
     def __init__(
         self,
@@ -95,7 +96,9 @@ class Execution:
             columns = columns._replace(drawn=columns.drawn.index_select(0, index_of(rows, columns.drawn)))
         if chosen is not None:
             chosen = chosen.index_select(0, index_of(rows, chosen))
-        return Execution((len(rows), *self.shape[1:]), columns, chosen, self.applied, is_certain=self.is_certain)
+        own = Execution((len(rows), *self.shape[1:]), columns, chosen, self.applied, is_certain=self.is_certain)
+        own.whole = self, rows
+        return own
 
     @property
     def chosen(self) -> Tensor | None:

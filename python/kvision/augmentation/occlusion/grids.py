@@ -19,6 +19,7 @@ from kvision.augmentation.occlusion.holes import HoleDropout
 from kvision.augmentation.random_generator.mapped import MappedGenerator
 from kvision.augmentation.random_generator.occlusion import GridDropoutGenerator, Units, fill_maps, units_along
 from kvision.augmentation.ranges import Numbers
+from kvision.augmentation.sample_rows import index_of
 from kvision.geometry.transform.lists.kept_sizes import Operation
 
 
@@ -107,9 +108,16 @@ class GridDropout(HoleDropout, keeps_contract=True):
             axes = [units[torch.arange(len(at), device=at.device), at] for units in axes]
         offsets = None
         if self._param_generator.random_offset:
-            noise = self._pixel_noise(execution, execution.redraw, like.device)
-            offsets = self._param_generator.offsets_of_list(noise, counts)
+            offsets = self._offsets_of_list(counts, execution, like.device)
         return self._erasing(_boxes(_in_grid(*axes), offsets), like, {})
+
+    def _offsets_of_list(self, counts: list[Any], execution: Execution, device: torch.device) -> Tensor:
+        whole, rows = execution.whole or (execution, None)
+        noise = self._pixel_noise(whole, whole.redraw, device)
+        if rows is None:
+            return self._param_generator.offsets_of_list(noise, counts)
+        offsets = self._param_generator.offsets_of_list(noise, [counts[rows.index(b)] for b in range(whole.shape[0])])
+        return offsets.index_select(0, index_of(rows, offsets))
 
     def _units(self, size: int, counts: tuple[int, ...], shift: int) -> tuple[Units, ...]:
         """The units along an axis, for each of the numbers of them that there may be."""

@@ -16,10 +16,14 @@
 namespace kv::contrib::cuda {
 namespace {
 
-constexpr int kColumns = 112, kRows = 32;    // of a tile, at most
-constexpr int kThreads = 2 * kColumns + 32;  // at most: 32 for 16 columns, and for the weights of rows
-constexpr int kPrologue = 2;                 // tiles that would take as long as what is done once a strip
-constexpr int64_t kShared = 110000;          // bytes of a block, at most
+constexpr int kRows = 32;            // of a tile, at most
+constexpr int kPrologue = 2;         // tiles that would take as long as what is done once a strip
+constexpr int64_t kShared = 110000;  // bytes of a block, at most
+// Columns of a tile, at most: 8 warps with that of the weights of rows fit 3 blocks' registers. Weights in shared
+// memory take less of these.
+constexpr int columns_of_tiles(int steps) { return steps == 2 || steps == 3 ? 112 : 128; }
+// At most: 32 for 16 columns, and for the weights of rows.
+constexpr int threads_of(int steps) { return 2 * columns_of_tiles(steps) + 32; }
 
 // What all blocks of a launch share. Parts of shared memory begin at bytes.
 struct ByteTiles {
@@ -32,7 +36,6 @@ struct ByteTiles {
   int steps;                     // of 16 columns of the image that 16 of the result read
   int chunks;                    // of the image that a tile reads, at most
   int x_weights, patches;
-  int buffer;  // bytes of the patches of a tile, if there is room for those of two, or 0
   int bytes;
 };
 
@@ -76,7 +79,7 @@ constexpr int blocks_at_once(int steps, bool planes) { return steps == 2 && plan
 
 // `Chunks`: of a tile, or 0 for any number.
 template <class U, int Steps, int Chunks, bool Planes>
-__global__ void __launch_bounds__(kThreads, blocks_at_once(Steps, Planes))
+__global__ void __launch_bounds__(threads_of(Steps), blocks_at_once(Steps, Planes))
     make_patches_of_bytes(__grid_constant__ VisionPatches<uint8_t> const p, __grid_constant__ Table const table,
                           __grid_constant__ ByteTiles const tiles) {
   extern __shared__ __align__(16) unsigned char memory[];
@@ -188,7 +191,7 @@ __global__ void __launch_bounds__(kThreads, blocks_at_once(Steps, Planes))
       if (Chunks == 1) load_weights(0);
       int const chunks = Chunks > 0 ? Chunks : (shared.of_tiles[which].count + kChunk - 1) / kChunk;
       uint8_t const* plane = image_rows;
-      uint32_t plane_at = which * tiles.buffer;  // bytes before the plane in the patches
+      uint32_t plane_at = 0;  // bytes before the plane in the patches
       int c = 0;
 #pragma unroll 1
       do {
@@ -270,50 +273,32 @@ __global__ void __launch_bounds__(kThreads, blocks_at_once(Steps, Planes))
         plane_at += plane_bytes;
       } while (++c < channels);
     }
+    __syncthreads();
+    if (i + tiles.down < end_i) begin_tile(which ^ 1);
     // Patches that are adjacent in the result, or single ones.
     bool const is_whole = group == p.merge;
     int const run = is_whole ? across * group : 1, bytes = kSize * elements * run;
-    auto const for_each_run = [&](auto f) {
-      int n = 0;
+    int n = 0;
 #pragma unroll 1
-      for (int y = 0; y < down; y += group)
+    for (int y = 0; y < down; y += group)
 #pragma unroll 1
-        for (int x = 0; x < across; x += is_whole ? across : 1, ++n) {
-          int64_t const index =
-              is_whole ? strip_index + int64_t(i - begin_i + y) * image.columns : p.index(image, i + y, tile_j + x);
-          f(static_cast<unsigned char*>(p.patches) + index * p.elements() * int64_t(kSize),
-            memory + tiles.patches + which * tiles.buffer + n * bytes);
-        }
-    };
-    bool const copies_alone = kCopiesAlone && tiles.buffer > 0, has_next = i + tiles.down < end_i;
-    if (copies_alone) {
-      show_to_copies();
-      if (thread + 32 == int(blockDim.x)) wait_for_copies();  // of the tile before
-    }
-    __syncthreads();
-    if (has_next) begin_tile(which ^ 1);
-    if (copies_alone) {
-      if (thread + 32 == int(blockDim.x)) {
-        for_each_run(
-            [&](unsigned char* to, unsigned char const* from) { copy_alone(to, shared_address(from), bytes); });
-        end_copies();
-        if (!has_next) wait_for_copies();
+      for (int x = 0; x < across; x += is_whole ? across : 1, ++n) {
+        int64_t const index =
+            is_whole ? strip_index + int64_t(i - begin_i + y) * image.columns : p.index(image, i + y, tile_j + x);
+        auto* const to = static_cast<unsigned char*>(p.patches) + index * p.elements() * int64_t(kSize);
+        unsigned char const* const from = memory + tiles.patches + n * bytes;
+        auto const copy = [&](auto vector) {
+          copy_patches<decltype(vector)>(from, to, bytes, kSize * size * size, tiles.per_plane, p.repeats);
+        };
+        if (tiles.vector == 16)
+          copy(uint4{});
+        else if (tiles.vector == 8)
+          copy(uint2{});
+        else if constexpr (sizeof(U) == 2)
+          copy(uint16_t{});
+        else
+          copy(uint32_t{});
       }
-      continue;
-    }
-    for_each_run([&](unsigned char* to, unsigned char const* from) {
-      auto const copy = [&](auto vector) {
-        copy_patches<decltype(vector)>(from, to, bytes, kSize * size * size, tiles.per_plane, p.repeats);
-      };
-      if (tiles.vector == 16)
-        copy(uint4{});
-      else if (tiles.vector == 8)
-        copy(uint2{});
-      else if constexpr (sizeof(U) == 2)
-        copy(uint16_t{});
-      else
-        copy(uint32_t{});
-    });
     __syncthreads();
   }
 }
@@ -337,9 +322,9 @@ ByteTiles tiles_of(VisionPatches<uint8_t> const& p, PatchImage const* images, in
   auto const read = [&](int64_t pixels, double shrink) {
     return int64_t(ceil(double(pixels - 1) * shrink + 2 * geometry::filter_radius(p.filter) * max(shrink, 1.)));
   };
+  int64_t const steps = max(ceil_div(read(16, shrink_x) + 7, 16), int64_t(2));  // from a multiple of 8 on
   auto const with = [&](int64_t across, int64_t down) {
     int64_t const columns = across * size, rows = down * size, warps = ceil_div(columns, 16);
-    int64_t const steps = max(ceil_div(read(16, shrink_x) + 7, 16), int64_t(2));  // from a multiple of 8 on
     int64_t const chunks = ceil_div(read(rows, shrink_y), kChunk);
     ByteTiles t{};
     t.across = int(across), t.down = int(down);
@@ -355,14 +340,11 @@ ByteTiles tiles_of(VisionPatches<uint8_t> const& p, PatchImage const* images, in
     int64_t const x_weights = sizeof(Shared) + 2 * chunks * 2048;
     int64_t const patches = x_weights + (steps > 3 ? warps * steps * 512 : 0);
     t.x_weights = int(x_weights), t.patches = int(patches);
-    int64_t const buffer = columns * rows * p.channels * int64_t(sizeof(U));
-    bool const has_two = p.repeats <= 1 && t.vector == 16 && patches + 2 * buffer <= kShared / 2;
-    t.buffer = has_two ? int(buffer) : 0;
-    t.bytes = int(min(patches + (has_two ? 2 : 1) * buffer, int64_t(INT32_MAX)));
+    t.bytes = int(min(patches + columns * rows * p.channels * int64_t(sizeof(U)), int64_t(INT32_MAX)));
     return t;
   };
   auto const whole = [&](int64_t n) { return max(n >= p.merge ? n / p.merge * p.merge : n, int64_t(1)); };
-  int64_t across = whole(min(int64_t(kColumns / size), across_all));
+  int64_t across = whole(min(int64_t(columns_of_tiles(int(min(steps, int64_t(4)))) / size), across_all));
   int64_t down = whole(min(int64_t(kRows / size), down_all));
   ByteTiles tiles = with(across, down);
   while (tiles.bytes > kShared && (across > 1 || down > 1)) {

@@ -102,25 +102,6 @@ __device__ __forceinline__ uint32_t load_global(uint64_t from, uint32_t) {
   return v;
 }
 __device__ __forceinline__ uint32_t shared_address(void const* p) { return uint32_t(__cvta_generic_to_shared(p)); }
-// Copies of shared memory to global memory that no thread waits for, of multiples of 16 bytes, from compute capability
-// 9 on: what all threads wrote before `show_to_copies()` and a barrier, by a thread that waits before the bytes change.
-#if defined(__CUDA_ARCH__) && __CUDA_ARCH__ >= 900
-constexpr bool kCopiesAlone = true;
-__device__ __forceinline__ void show_to_copies() { asm volatile("fence.proxy.async.shared::cta;" ::: "memory"); }
-__device__ __forceinline__ void copy_alone(void* to, uint32_t from, int bytes) {
-  asm volatile("cp.async.bulk.global.shared::cta.bulk_group [%0], [%1], %2;" ::"l"(__cvta_generic_to_global(to)),
-               "r"(from), "r"(bytes)
-               : "memory");
-}
-__device__ __forceinline__ void end_copies() { asm volatile("cp.async.bulk.commit_group;" ::: "memory"); }
-__device__ __forceinline__ void wait_for_copies() { asm volatile("cp.async.bulk.wait_group.read 0;" ::: "memory"); }
-#else
-constexpr bool kCopiesAlone = false;
-__device__ __forceinline__ void show_to_copies() {}
-__device__ __forceinline__ void copy_alone(void*, uint32_t, int) {}
-__device__ __forceinline__ void end_copies() {}
-__device__ __forceinline__ void wait_for_copies() {}
-#endif
 // The same number, of which nvcc knows nothing.
 __device__ __forceinline__ uint32_t opaque(uint32_t x) { return __shfl_xor_sync(0xffffffffu, x, 0); }
 

@@ -116,7 +116,7 @@ __global__ void __launch_bounds__(kThreads) run_one_step(__grid_constant__ Progr
         for (int j = 0; j < P; ++j)
           if (is_in(i + j, p.pixels)) own[j] = results[k].v[j];
       } else {
-        store_striped_if<P, kThreads / 32>(own, results[k], [&](int ahead) { return ahead < left; });
+        store_anywhere<P, kThreads / 32>(own, results[k], 0, left);
       }
     }
   }

@@ -141,7 +141,7 @@ def test_labels_of_another_number_are_refused():
 
 
 @pytest.mark.tracing
-@pytest.mark.parametrize("name", ["affine", "crop of a window"])
+@pytest.mark.parametrize("name", ["affine", "crop of a window", "pad"])
 def test_graphs_have_masks_boxes_and_points(name):
     augment = A.AugmentationSequential(*AUGMENTATIONS[name](), data_keys=["input", "mask", "bbox_xyxy", "keypoints"])
     images = pictures("cpu")

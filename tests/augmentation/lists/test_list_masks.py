@@ -91,6 +91,18 @@ def test_launches_do_not_depend_on_the_number_of_masks(name, dtype, backend):
     assert counts[2] <= counts[1]
 
 
+@pytest.mark.tracing
+@pytest.mark.parametrize("name", ["map", "dropped", "late resize"])
+def test_graphs_have_masks(name):
+    augment = A.AugmentationSequential(*AUGMENTATIONS[name](), data_keys=["input", "mask"])
+    images = pictures("cpu")[:2]
+    masks = masks_of(images, torch.uint8)
+    compiled = torch.compile(augment, fullgraph=True, backend="aot_eager")
+    for of_graph, eager in zip(compiled(images, masks, seed=3), augment(images, masks, seed=3)):
+        for a, b in zip(of_graph, eager, strict=True):
+            assert torch.allclose(a.double(), b.double(), atol=1e-4)
+
+
 def test_masks_without_channels_get_one(device):
     images = pictures(device)
     masks = [m[0] for m in masks_of(images, torch.uint8)]

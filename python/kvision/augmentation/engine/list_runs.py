@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import cached_property, partial
+from functools import partial
 from itertools import repeat
 from typing import Any
 
@@ -102,7 +102,7 @@ class ListRun(ImagesOfList):
         """That of the images."""
         return self._type[1]
 
-    @cached_property
+    @property
     def like(self) -> Tensor:
         """What has the type and the device of the images."""
         dtype, device = self._type
@@ -129,7 +129,7 @@ class ListRun(ImagesOfList):
             execution.found = self.modules[number]._found(found)
         return execution
 
-    @cached_property
+    @property
     def _has_noise(self) -> bool:
         """Whether pixels have numbers of their own, which depend on the number of their image."""
         drawing = self.plan.run.drawing

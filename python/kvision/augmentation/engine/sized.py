@@ -101,7 +101,10 @@ class NumbersOfEach:
 
     def of_sides(self, sides: Sequence[int]) -> Tensor:
         """The same for height and width of each image."""
-        rows = list(map(self._at_size, zip(sides[::2], sides[1::2])))
+        sizes = zip(sides[::2], sides[1::2])
+        if is_compiling():  # a graph has no memory of numbers
+            return torch.tensor([[*self.at(*size)] for size in sizes], dtype=torch.float64, device="cpu")
+        rows = list(map(self._at_size, sizes))
         if not rows[0]:
             return torch.empty(len(rows), 0, dtype=torch.float64, device="cpu")
         # The tensor is one of memory, as torch converts the entries of lists one by one.

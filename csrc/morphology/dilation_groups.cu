@@ -103,7 +103,7 @@ __global__ void __launch_bounds__(kThreads, kBlocks<P, Bytes>)
   int x, y0;
   groups.locate(plane, x, y0);
   Rows const rows(p.x, plane, x, Border::constant);
-  GroupStore<T, P, Bytes> out(p.y, plane, x, y0);
+  GroupStore<T, P, Bytes, kFewestStores> out(p.y, plane, x, y0);
   int const height = int(p.x.height), y1 = min(y0 + groups.rows, height);
   auto const fetch = [&](int y) {
     return unsigned(y) < unsigned(height) && y <= y1 ? rows.fetch(y) : typename Rows::Fetched{};

@@ -85,6 +85,27 @@ def test_which_images_take_groups_of_columns(name, device):
         assert kernel not in kernels_of(call, x.float())
 
 
+@pytest.mark.parametrize("name", [*GROUPS, "box 3 reflect"])
+def test_which_bytes_rows_are_multiples_of(name, device):
+    if device.type != "cuda":
+        pytest.skip("needs --device cuda")
+    call, kernel = GROUPS[name][:2] if name in GROUPS else (OTHERS[name], "box_groups")
+    most = 16 if kernel in ("dilation_3x3_groups", "median_groups", "box_groups") else 8  # of a group
+    for width, first, multiple in (
+        (48, 0, 16),
+        (40, 0, 8),
+        (36, 0, 4),
+        (500, 4, 4),
+        (36, 1, 0),
+        (34, 0, 0),
+        (33, 0, 0),
+    ):
+        memory = torch.ones(12 * width + first, dtype=torch.uint8, device=device)
+        launched = kernels_of(call, memory[first:].view(1, 1, 12, width))
+        constants = launched.split(kernel, 1)[1].split("(", 1)[0]
+        assert constants.endswith((f" {min(multiple, most)}>", f"<{min(multiple, most)}>")), (width, first, constants)
+
+
 @pytest.mark.parametrize("name", POINTWISE)
 def test_which_calls_compute_with_bytes(name, device):
     if device.type != "cuda":
@@ -153,7 +174,7 @@ def test_gradients_of_bytes_are_one_kernel(device):
 def test_bytes_that_begin_anywhere(name, device):
     call = OTHERS[name] if name in OTHERS else (GROUPS.get(name) or POINTWISE[name])[0]
     of_levels = name in POINTWISE or name in ("hue", "sharpness") or name.startswith("gauss")
-    for height, width in ((37, 513), (12, 33), (26, 264), (40, 19), (9, 500), (6, 1030)):
+    for height, width in ((37, 513), (12, 33), (26, 264), (40, 19), (9, 500), (6, 1030), (7, 36), (5, 12)):
         count = 6 * height * width
         memory = torch.randint(0, 256, (count + 3,), generator=torch.Generator().manual_seed(width)).to(torch.uint8)
         for first in range(4):  # at the beginning of the memory, and at its end

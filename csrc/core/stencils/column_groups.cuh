@@ -72,8 +72,8 @@ bool supports_groups(Planes<T> const& x) {
          x.row_stride * int64_t(kSize) <= INT32_MAX && x.width <= INT32_MAX / 2;
 }
 
-// The bytes that rows of the images are multiples of, and begin at: those of a group of P pixels, 8, or 0 for any. It
-// is 0 for float64.
+// The bytes that rows of the images are multiples of, and begin at: those of a group of P pixels, 8, of bytes 4, or 0
+// for any. It is 0 for float64.
 template <int P, class T, class... More>
 int bytes_of_rows(Planes<T> const& first, Planes<More> const&... more) {
   constexpr int64_t kSize = sizeof(T), kGroup = P * kSize;
@@ -82,9 +82,11 @@ int bytes_of_rows(Planes<T> const& first, Planes<More> const&... more) {
            (p.outer_stride | p.inner_stride | p.row_stride | p.width) * kSize;
   };
   int64_t const all = (bits(first) | ... | bits(more));
-  return kGroup <= 16 && all % kGroup == 0 ? int(kGroup) : kGroup > 8 && kGroup <= 16 && all % 8 == 0 ? 8 : 0;
+  if (kGroup > 16) return 0;
+  return all % kGroup == 0 ? int(kGroup) : kGroup > 8 && all % 8 == 0 ? 8 : kSize == 1 && all % 4 == 0 ? 4 : 0;
 }
 // Calls f with them as a constant.
+// Special case, H200: rows of 4 bytes 1.08 (gauss5) to 1.30 (box5) times as fast as any, 375x500.
 template <int P, class F, class T, class... More>
 auto with_row_bytes(F f, Planes<T> const& first, Planes<More> const&... more) {
   constexpr int kGroup = P * int(sizeof(T));
@@ -93,6 +95,8 @@ auto with_row_bytes(F f, Planes<T> const& first, Planes<More> const&... more) {
     if (bytes == kGroup) return f(std::integral_constant<int, kGroup>{});
     if constexpr (kGroup > 8)
       if (bytes == 8) return f(std::integral_constant<int, 8>{});
+    if constexpr (sizeof(T) == 1 && kGroup > 4)
+      if (bytes == 4) return f(std::integral_constant<int, 4>{});
   }
   return f(std::integral_constant<int, 0>{});
 }
@@ -238,18 +242,23 @@ struct GroupRows {
   }
 };
 
-// Whether threads exchange the pixels of rows that begin anywhere, so that they store aligned vectors. Parts of a
-// sector that a warp stores one after the other take the time of as many sectors. Groups of fewer bytes wait for
-// instructions.
-// Special case, H200: 1.13 (median3) to 1.32 (dilation3 of 299x299) times as fast as words, half types.
+// Whether threads exchange the pixels of rows that begin anywhere, so that all that a warp stores is aligned. Groups of
+// fewer bytes wait for instructions.
+// Special case, H200: 1.13 (median3) to 1.32 (dilation3 of 299x299) times as fast as words of one thread, half types.
 template <class T, int P, int Bytes>
 constexpr bool kExchangesStores = Bytes == 0 && (sizeof(T) == 2 || (sizeof(T) == 1 && P == 16));
 
+// Bytes of a store to rows that begin anywhere, of kernels that wait for instructions, and for memory.
+// Special case, H200: 4 are 1.03 (box3, gauss5) to 1.07 (median5 of float16) times as fast as 8, 8 are 1.04 to 1.24
+// times as fast as 4 (dilation3).
+constexpr int kFewestInstructions = 4, kFewestStores = 8;
+
 // Stores rows of a thread's group.
-template <class T, int P, int Bytes>
+template <class T, int P, int Bytes, int Unit = kFewestInstructions>
 struct GroupStore {
   static constexpr bool kExchanges = kExchangesStores<T, P, Bytes>;
   static constexpr int kSize = P * int(sizeof(T)), kWords = ceil_div(kSize, 4);
+  static constexpr int kUnit = kExchanges ? Unit : 4;
   T* at;  // the group in the next row
   int const stride;
   bool first = true, last = true;  // whether the group before, and the next one, is not adjacent or of another warp
@@ -283,66 +292,59 @@ struct GroupStore {
       static_assert(kSize % 4 == 0);
       uint32_t own[kWords];
       __builtin_memcpy(own, &vector, kSize);
-      if constexpr (kExchanges)
-        exchanged(own);
-      else
-        parts(own, true, true, 0);
+      put_units(own);
     }
     at += stride;
   }
 
  private:
-  __device__ __forceinline__ unsigned address() const { return unsigned(reinterpret_cast<uintptr_t>(at)); }
-
-  // Stores the first `before` bytes of the group, if `head`, and the others, if `tail`; kSize - before bytes end at a
-  // multiple of 4 bytes or more, or `before` is 0.
+  // Stores the units of memory that begin in the group, the last of which the next group completes. Bytes in no such
+  // unit, where no group of the warp is adjacent, are stored by 4, 2 or 1:
   //
-  //   words    | . . . a | b c d e | f g h . |       a, f g and h by one or two bytes, b c d e by a word
-  __device__ __forceinline__ void parts(uint32_t const (&own)[kWords], bool head, bool tail, int before) const {
+  //   units    | . . . a | b c d e | f g h i | j . . .
+  //   groups           a   b c d e   f g h | i   j           the thread of a ... h stores b c d e and f g h i
+  __device__ __forceinline__ void put_units(uint32_t const (&own)[kWords]) const {
+    static_assert(kUnit == 4 || (kUnit == 8 && kSize >= 8));
     __builtin_assume(__isGlobal(at));
-    unsigned const low = address(), preceding = low & 3;
+    constexpr int kWordsOfUnit = kUnit / 4;
+    unsigned const low = unsigned(reinterpret_cast<uintptr_t>(at)), past = low & (kUnit - 1),
+                   before = (0 - low) & (kUnit - 1);  // bytes of the group's last unit in it, and before its first one
     auto* const to = reinterpret_cast<uint8_t*>(at);
-    auto* const aligned = reinterpret_cast<uint32_t*>(to + ((0 - low) & 3));
-    uint32_t words[kWords];  // from `aligned` on
+    uint8_t* const aligned = to + before;
+    uint32_t words[kWords + kWordsOfUnit];  // of this group and the next, then from `aligned` on
 #pragma unroll
-    for (int i = 0; i < kWords; ++i)
-      words[i] = __funnelshift_r(own[i], i + 1 < kWords ? own[min(i + 1, kWords - 1)] : 0u, 0 - 8 * low);
-    unsigned const of_head = (1u << before / 4) - 1, all = (1u << kWords) - 1;
-    unsigned const stored = ((head ? of_head : 0) | (tail ? ~of_head : 0)) & (preceding ? all >> 1 : all);
-#pragma unroll
-    for (int i = 0; i < kWords; ++i)
-      if (stored & 1u << i) aligned[i] = words[i];
-    unsigned const begun = head ? (0 - low) & 3 : 0, ended = tail ? preceding : 0;  // bytes
-    auto* const halves = reinterpret_cast<uint16_t*>(aligned);
-    if (begun & 2) halves[-1] = uint16_t(own[0] >> (begun & 1) * 8);
-    if (ended & 2) halves[2 * kWords - 2] = uint16_t(words[kWords - 1]);
-    if constexpr (sizeof(T) == 1) {
-      if (begun & 1) to[0] = uint8_t(own[0]);
-      if (ended & 1) to[kSize - 1] = uint8_t(own[kWords - 1] >> 24);
+    for (int i = 0; i < kWords + kWordsOfUnit; ++i) {
+      words[i] = own[min(i, kWords - 1)];
+      if (i >= kWords) words[i] = kExchanges ? __shfl_down_sync(~0u, own[max(i - kWords, 0)], 1) : 0;
     }
-  }
-
-  // Stores the vector of kSize bytes, at a multiple of them, that begins in the group before and ends in this one:
-  //
-  //   vectors          | . . a b | c d e f | g h i j | . . .
-  //   groups               a b c d   e f g h   i j             the second thread stores c d e f
-  __device__ __forceinline__ void exchanged(uint32_t const (&own)[kWords]) const {
-    static_assert(kSize == 8 || kSize == 16);
-    unsigned const low = address(), past = low & (kSize - 1);  // bytes of the vector before the group
-    uint32_t w[2 * kWords];                                    // the group before, and this one
+    if constexpr (kUnit == 8)
 #pragma unroll
-    for (int i = 0; i < kWords; ++i) w[i] = __shfl_up_sync(~0u, own[i], 1), w[kWords + i] = own[i];
+      for (int i = 0; i <= kWords; ++i) words[i] = before & 4 ? words[i + 1] : words[i];
 #pragma unroll
-    for (int n = kWords / 2; n > 0; n /= 2)
+    for (int i = 0; i < kWords; ++i) words[i] = __funnelshift_r(words[i], words[i + 1], 8 * before);
 #pragma unroll
-      for (int i = 2 * kWords - 1; i >= kWords - n; --i) w[i] = low & 4 * n ? w[i - n] : w[i];
-    uint32_t shifted[kWords];
-#pragma unroll
-    for (int i = 0; i < kWords; ++i) shifted[i] = __funnelshift_l(w[kWords + i - 1], w[kWords + i], 8 * low);
-    Vector<uint32_t, kWords> aligned;
-    __builtin_memcpy(&aligned, shifted, kSize);
-    if (past == 0 || !first) store_vector(reinterpret_cast<uint32_t*>(reinterpret_cast<char*>(at) - past), aligned);
-    if (past > 0 && (first || last)) parts(own, first, last, kSize - past);
+    for (int i = 0; i < kWords; i += kWordsOfUnit) {
+      if (i + kWordsOfUnit == kWords && past > 0 && last) continue;
+      if constexpr (kUnit == 4)
+        *reinterpret_cast<uint32_t*>(aligned + 4 * i) = words[i];
+      else
+        store_vector(reinterpret_cast<uint32_t*>(aligned + 4 * i), Vector<uint32_t, 2>{words[i], words[i + 1]});
+    }
+    if (past == 0 || !(first || last)) return;
+    unsigned const head = first ? before : 0, tail = last ? past : 0;
+    uint8_t* const end = aligned + kSize - kUnit;
+    uint32_t rest = words[kWords - 1];
+    if constexpr (kUnit == 8) {
+      if (head & 4) *reinterpret_cast<uint32_t*>(aligned - 4) = __funnelshift_r(own[0], own[1], 8 * before);
+      if (tail & 4) *reinterpret_cast<uint32_t*>(end) = words[kWords - 2];
+      if (!(past & 4)) rest = words[kWords - 2];
+    }
+    if (head & 2) *reinterpret_cast<uint16_t*>(to + (before & 1)) = uint16_t(own[0] >> (before & 1) * 8);
+    if (tail & 2) *reinterpret_cast<uint16_t*>(end + (past & 4)) = uint16_t(rest);
+    if constexpr (sizeof(T) == 1) {
+      if (head & 1) to[0] = uint8_t(own[0]);
+      if (tail & 1) to[kSize - 1] = uint8_t(own[kWords - 1] >> 24);
+    }
   }
 };
 

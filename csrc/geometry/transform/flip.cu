@@ -140,7 +140,7 @@ __global__ void __launch_bounds__(256)
   int const y1 = min(y0 + groups.rows, int(p.y.height)), last = y1 - 1 + p.rows;
   using Rows = GroupRows<T, P + 1, 0>;
   Rows const reader(p.x, plane, p.left + x, Border::constant);
-  GroupStore<T, P, Bytes> out(p.y, plane, x, y0);
+  GroupStore<T, P, Bytes, kFewestStores> out(p.y, plane, x, y0);
   auto const fetch = [&](int y) { return reader.fetch(p.top + min(y, last)); };
   auto const means_of = [&](typename Rows::Fetched const& row, float(&means)[P]) {
     float v[P + 1];

@@ -121,7 +121,7 @@ __global__ void __launch_bounds__(kThreads, 5)
   }
   using Rows = GroupRows<T, kRead, 0>;
   Rows const reader(p.x, plane, first, Border::constant);
-  GroupStore<T, P, Bytes> out(p.y, plane, x, y0);
+  GroupStore<T, P, Bytes, kFewestStores> out(p.y, plane, x, y0);
 
   int y = begin;
   int const last = min(end, int(p.x.height)) - 1;

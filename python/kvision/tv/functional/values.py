@@ -176,7 +176,7 @@ def _fill_windows(x: Tensor, rows: list[dict[str, Any]]) -> Tensor:
     of_row = ((y - top) * width)[:, None, :, None] + (column - left)[:, None, None]
     channel = torch.arange(x.shape[1], device=x.device)[:, None, None]
     at = first[..., None, None] + channel * (height * width)[..., None, None] + of_row
-    return torch.where(is_inside, values[torch.where(is_inside, at, 0)], x)
+    return torch.where(~is_inside, x, values[torch.where(is_inside, at, 0)])  # in the layout of what comes first
 
 
 @functional(each=_erase_each)

@@ -217,3 +217,40 @@ def test_wrong_lists(device):
     params = (augment(images), augment._params)[1]
     with pytest.raises(ValueError, match="RandAugment: expected params"):
         augment(images[:2], params=params)
+
+
+LABELS_AROUND = {
+    "run": lambda policy: (A.RandomHorizontalFlip(), policy, A.RandomErasing()),
+    "late crop": lambda policy: (policy, A.RandomResizedCrop((12, 14))),
+    "container": lambda policy: (A.ImageSequential(A.RandomVerticalFlip(), policy), A.RandomInvert()),
+    "choice": lambda policy: (A.OneOf(policy, A.RandomInvert()), A.RandomHorizontalFlip()),
+}
+
+
+@pytest.mark.parametrize("around", LABELS_AROUND)
+@policies
+def test_labels_in_containers_follow_together(name, around, device, backend):
+    """Masks, boxes and points of each image are those of the image alone, by as many calls for any number of images."""
+    policy = POLICIES_AND_MIXTURES[name]()
+    keys = ["input", "mask", "bbox_xyxy", "keypoints"]
+    augment = A.AugmentationSequential(*LABELS_AROUND[around](policy), data_keys=keys, clip_boxes="each")
+    images = pictures(device, [(16 + 3 * b, 40 - 2 * b) for b in range(9)])
+    inputs = (
+        images,
+        [(x[: b % 3] > 0.5).to(torch.uint8) for b, x in enumerate(images)],
+        [torch.tensor([[1.0, 2, 9, 12], [3, 3, 8, 9]], device=device)[: b % 3] for b in range(9)],
+        [torch.tensor([[3.0, 4], [6, 7]], device=device) for _ in images],
+    )
+    seeds = seeds_of(images)
+    results = augment(*inputs, seed=seeds)
+    for b in range(9):
+        alone = augment(
+            *([value[b]] if i in (1, 2) else value[b][None] for i, value in enumerate(inputs)),
+            seed=seeds[b : b + 1],
+        )
+        assert torch.equal(results[0][b], alone[0][0]) and torch.equal(results[1][b], alone[1][0])
+        assert_close(results[2][b], alone[2][0], 1e-4, 1e-4)
+        assert_close(results[3][b], alone[3][0], 1e-4, 1e-4)
+    if backend != "reference":
+        counts = [calls(augment, *(x[:n] for x in inputs), seed=seeds[:n]) for n in (4, 9)]
+        assert around == "choice" or counts[0] == counts[1]

@@ -27,10 +27,10 @@ class Calls(TorchDispatchMode):
         return operator(*args, **(kwargs or {}))
 
 
-def calls(augment, images, **options):
+def calls(augment, images, *labels, **options):
     with warnings.catch_warnings(), Calls() as counted:
         warnings.simplefilter("ignore")  # of calls without boxes or masks
-        augment(images, **options)
+        augment(images, *labels, **options)
     return counted.count
 
 

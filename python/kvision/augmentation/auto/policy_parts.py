@@ -9,7 +9,8 @@ import torch
 from torch import Tensor
 
 from kvision.augmentation.auto.operation_table import BILINEAR
-from kvision.augmentation.engine import ByMatrix, Chain, PartsOfImages, Record, Warp
+from kvision.augmentation.engine import ByMatrix, Chain, LabelStep, Move, Moves, PartsOfImages, Record, Warp
+from kvision.augmentation.lists.masks import checked_masks, move_masks
 
 
 class Drawn(NamedTuple):
@@ -22,6 +23,13 @@ class Drawn(NamedTuple):
     def of_sample(self, b: int) -> Drawn:
         """What was drawn for one sample."""
         return Drawn(*(None if t is None else t[b : b + 1] for t in self))  # type: ignore[arg-type]
+
+
+class _Steps(NamedTuple):
+    """Steps of a policy as those of a run."""
+
+    label_steps: Sequence[LabelStep]
+    modules: Sequence[Any] = ()
 
 
 class PolicyParts(PartsOfImages):
@@ -43,6 +51,23 @@ class PolicyParts(PartsOfImages):
         size = self._shapes[b][2:]
         stages = [Warp(matrix[b : b + 1], size, size, BILINEAR) for matrix in self._matrices]
         return Record(self._shapes[b], (), Chain(stages), drawn=self._drawn.of_sample(b), size=size)
+
+    def moves(self) -> Moves:
+        """What boxes and points follow."""
+        sides = self._sides
+        return Moves([Move(matrix, sides) for matrix in self._matrices], sides)
+
+    def moved_masks(self, masks: Any, reading: Any) -> list[Tensor] | None:
+        """Masks (N, h, w) of each image by the launches of a batch; None where they follow the calls of the images."""
+        sides = self._sides
+        given = checked_masks(masks, sides)
+        steps = [LabelStep((), matrix, BILINEAR, sides, sides) for matrix in self._matrices]
+        return None if given is None else move_masks(given, _Steps(steps), reading)
+
+    @property
+    def _sides(self) -> list[int]:
+        """Height and width of each image."""
+        return [n for shape in self._shapes for n in shape[2:]]
 
     @property
     def _whole(self) -> Record:

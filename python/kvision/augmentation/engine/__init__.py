@@ -67,6 +67,7 @@ from kvision.augmentation.engine.execution import (
     replaying,
 )
 from kvision.augmentation.engine.image_sequential import ImageSequential
+from kvision.augmentation.engine.list_moves import LabelStep, Move, Moves
 from kvision.augmentation.engine.parts import PartsOfImages
 from kvision.augmentation.engine.patch_sequential import PatchSequential
 from kvision.augmentation.engine.record import Child, ParamItem, Record
@@ -92,7 +93,10 @@ __all__ = [
     "ImageSequential",
     "ImageSequentialBase",
     "KeepsArguments",
+    "LabelStep",
     "Motion",
+    "Move",
+    "Moves",
     "ParamItem",
     "Params",
     "PartsOfImages",

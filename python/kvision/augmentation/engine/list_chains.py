@@ -226,7 +226,7 @@ def _run_children(
             inside = inside._replace(
                 labels=None if own.labels is None else own.labels.read_inside(module._label_settings)
             )
-            parts_inside: Parts
+            parts_inside: Any
             if _is_plain(module):
                 y, more = _run_container(module, images, params, inside)
                 parts_inside = ChainParts(context.op, images, y, more)
@@ -234,7 +234,7 @@ def _run_children(
                 y, parts_inside = module._execute_list(images, params, inside)
             if params is None:
                 module._keep(Record(parts=parts_inside))
-            moving = _Inside(parts_inside, module._label_settings) if isinstance(parts_inside, ChainParts) else None
+            moving = _Inside(parts_inside, module._label_settings)
             steps.append(ListStep(everything, _of_inside(run[0], parts_inside), moving))
         else:
             y, each = _run_each(images, run, own, position)
@@ -266,7 +266,7 @@ def _labels_after(
 class _Inside(NamedTuple):
     """What labels follow in a container that is a child."""
 
-    parts: ChainParts
+    parts: Any  # a ChainParts, or the parts of a policy
     settings: LabelSettings | None
 
     def moves(self) -> Moves | None:

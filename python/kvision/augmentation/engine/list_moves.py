@@ -22,7 +22,7 @@ class LabelStep(NamedTuple):
     """What labels follow in a run on a list: one warp, or an augmentation that runs by itself.
 
     Attributes:
-        numbers: its augmentations, by their numbers in the run.
+        numbers: its augmentations, by their numbers in the run; none of a policy, whose steps have matrices.
         matrix: (B, 3, 3); None for an augmentation that leaves labels, or changes them by its own methods.
         resampling: of images; None for one augmentation, which says how it reads masks.
         before: height and width of each image before it.

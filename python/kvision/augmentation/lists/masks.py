@@ -55,7 +55,7 @@ def warped_masks(masks: list[Tensor], matrix: Tensor, size: Sequence[int], resam
 
 def move_masks(masks: list[Tensor], run: Any, reading: Any) -> list[Tensor] | None:
     """Masks (N, H, W) after a run on a list, as containers read them; None where the calls of parts move them."""
-    steps = [step for step in run.label_steps if run.modules[step.numbers[0]]._moves_labels]
+    steps = [step for step in run.label_steps if not step.numbers or run.modules[step.numbers[0]]._moves_labels]
     if not steps:
         return masks
     counts = [len(m) for m in masks]
@@ -79,7 +79,7 @@ def _moved(
     if any(m._is_overridden("apply_transform_mask") for m in run.modules):
         return None
     for numbers, matrix, resampling, before, size in steps:
-        module = run.modules[numbers[0]]
+        module = run.modules[numbers[0]] if numbers else None
         if matrix is None and module.moves_by_map:
             masks = module._displace_mask_list(masks, owners, before, run.execution(numbers[0]), reading)
             continue

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
 
 from kvision._dtype import compute_dtype
-from kvision.augmentation.engine import Params
+from kvision.augmentation.engine import Execution, Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
 from kvision.augmentation.noise import gaussian_noise, salt_and_pepper
 from kvision.augmentation.random_generator.noise import GaussianNoiseGenerator, SaltAndPepperGenerator
@@ -20,7 +21,35 @@ __all__ = ["RandomGaussianNoise", "RandomSaltAndPepperNoise"]
 # Noise is drawn where it is added. Reading `_params` makes a tensor of it, by the same key.
 
 
-class RandomGaussianNoise(IntensityAugmentationBase2D, keeps_contract=True):
+class _AddedNoise(IntensityAugmentationBase2D, keeps_contract=True):
+    """Noise that is drawn where it is added."""
+
+    fuses_noise = replays_lists = replays_pixels = True
+    _of_pixels: ClassVar[tuple[str, ...]]  # the names of the parameters of each pixel
+
+    def _run_list(self, images: Sequence[Tensor], execution: Execution) -> list[Tensor]:
+        given, results = execution.params, list(images)
+        if given is None:
+            return super()._run_list(images, execution)
+        rows = [i for i, is_chosen in enumerate((given["batch_prob"] > 0.5).tolist()) if is_chosen]
+        if not rows:
+            return results
+        chosen, params = [images[i] for i in rows], dict[str, Any]()
+        for name in self._of_pixels:
+            value = given[name]
+            each = value if isinstance(value, list) else value.split(1)
+            params[name] = torch.cat([each[i].expand(1, *x.shape).flatten() for i, x in zip(rows, chosen)])[
+                None, None, None
+            ]
+        # Pixels of all images are one row, as each becomes what its parameters say.
+        row = torch.cat([x.flatten() for x in chosen])[None, None, None]
+        y = self._run(row, Execution(tuple(row.shape), params=params), self.flags).flatten()
+        for i, x, pixels in zip(rows, chosen, y.split([x.numel() for x in chosen])):
+            results[i] = pixels.view(x.shape)
+        return results
+
+
+class RandomGaussianNoise(_AddedNoise, keeps_contract=True):
     """Add normal noise to images, without clamping the result.
 
     Args:
@@ -39,7 +68,7 @@ class RandomGaussianNoise(IntensityAugmentationBase2D, keeps_contract=True):
         tensor([[[[0.5000, 0.5000]]]])
     """
 
-    fuses_noise = True
+    _of_pixels = ("gaussian_noise",)
 
     def __init__(
         self,
@@ -67,7 +96,7 @@ class RandomGaussianNoise(IntensityAugmentationBase2D, keeps_contract=True):
         return Operation(gaussian_noise, (parameters.to(compute_dtype(like)), *noise.arguments()))
 
 
-class RandomSaltAndPepperNoise(IntensityAugmentationBase2D, keeps_contract=True):
+class RandomSaltAndPepperNoise(_AddedNoise, keeps_contract=True):
     """Set random pixels to 1 and to 0, in all channels.
 
     Args:
@@ -86,7 +115,7 @@ class RandomSaltAndPepperNoise(IntensityAugmentationBase2D, keeps_contract=True)
         tensor([[[[1., 1.]]]])
     """
 
-    fuses_noise = True
+    _of_pixels = ("mask_salt", "mask_pepper")
 
     def __init__(
         self,

@@ -107,8 +107,6 @@ def test_replayed_labels_follow_as_before(name, filters, device):
 def test_launches_do_not_depend_on_the_number_of_labels(name, filters, is_replay, backend):
     if backend == "reference":
         pytest.skip("this test is about the kernels")
-    if is_replay and name in ("zoom out", "crop behind noise", "objects", "objects of some"):
-        pytest.skip("images are replayed one by one")
     augment, counts = A.AugmentationSequential(*AUGMENTATIONS[name](), data_keys=KEYS, **FILTERS[filters]), []
     for times in (4, 4, 16):  # the first call makes constants
         images = pictures("cpu") * times

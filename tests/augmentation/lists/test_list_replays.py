@@ -1,8 +1,9 @@
 """Replays of lists of images with given parameters: each call by its own numbers."""
 
+import pytest
 import torch
 
-from augmentation.container.test_list_launches import Calls
+from augmentation.container.test_list_launches import Calls, Launches
 from augmentation.test_lists import pictures
 from kvision import augmentation as A
 
@@ -73,3 +74,55 @@ def test_replays_leave_the_generator_of_torch_alone(device):
     state = torch.get_rng_state()
     warp(images, params=warp._params)
     assert torch.equal(torch.get_rng_state(), state)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float16, torch.uint8], ids=str)
+@pytest.mark.parametrize("noise", [A.RandomGaussianNoise, A.RandomSaltAndPepperNoise])
+def test_noise_is_replayed_as_in_each_image_alone(noise, dtype, device):
+    images, augment, alone = pictures(device, dtype=dtype), noise(p=1.0), noise(p=1.0)
+    augment(images)
+    params = {**augment._params, "batch_prob": torch.tensor([1.0, 0.0, 1.0, 1.0])}
+    replayed = augment(images, params=params)
+    for b, x in enumerate(images):
+        own = {name: value[b] if isinstance(value, list) else value[b : b + 1] for name, value in params.items()}
+        del own["forward_input_shape"]
+        expected = alone(x[None], params=own)[0]
+        assert replayed[b].dtype == expected.dtype and torch.equal(replayed[b], expected)
+
+
+def test_objects_are_dropped_again(device):
+    images = pictures(device)
+    masks = [(torch.rand(n, *x.shape[1:], device=device) < 0.5).byte() for n, x in zip((1, 0, 3, 1), images)]
+    augment = A.AugmentationSequential(
+        A.MaskDropout((1, 3), p=1.0), A.RandomVerticalFlip(), data_keys=["image", "mask"]
+    )
+    results = augment(images, masks)
+    for before, after in zip(results, augment(images, masks, params=augment._params)):
+        assert all(map(torch.equal, before, after))
+    drop = A.MaskDropout((1, 3), p=1.0)
+    drop(images, masks=masks)
+    params = {**drop._params, "batch_prob": torch.tensor([1.0, 1.0, 0.0, 1.0])}
+    replayed = drop(images, params=params)
+    assert not torch.equal(replayed[0], images[0]) and torch.equal(replayed[2], images[2])
+
+
+@pytest.mark.parametrize(
+    "augmentation",
+    [A.RandomZoomOut, A.RandomGaussianNoise, A.RandomSaltAndPepperNoise],
+    ids=lambda augmentation: augmentation.__name__,
+)
+def test_replays_of_many_sizes_take_as_many_launches_as_of_few(augmentation, device, backend):
+    if backend == "reference":
+        pytest.skip("this test is about the kernels")
+    counts = []
+    for number in (5, 20):
+        images = pictures(device, [(20 + i, 50 - i) for i in range(number)])
+        augment = A.ImageSequential(augmentation(p=0.5), A.RandomHorizontalFlip())
+        results = augment(images, seed=torch.arange(number, device=device))
+        params = augment._params
+        augment(images, params=params)  # makes plans
+        with Launches() as counted:
+            replayed = augment(images, params=params)
+        counts.append(counted.count)
+        assert all(torch.allclose(a, b, atol=1e-5) for a, b in zip(replayed, results))
+    assert counts[1] == counts[0]

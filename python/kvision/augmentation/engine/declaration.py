@@ -75,6 +75,7 @@ class Declaration(KeepsArguments):
     replays_lists: ClassVar[bool] = (
         False  # an operator runs lists with given parameters, of samples of which some are chosen
     )
+    replays_pixels: ClassVar[bool] = False  # of lists, whose parameters say what pixels become
     warps_lists_by_matrix: ClassVar[bool] = False  # where it runs by itself
     keeps_unchosen: ClassVar[bool] = False  # the drawn columns of samples that are not chosen leave them as they are
     filters_chosen: bool = False  # `_operation` is a filter, which copies images of a list that are not chosen

@@ -25,7 +25,17 @@ from kvision.augmentation.engine.parts import params_of_rows
 from kvision.augmentation.engine.passes import Alone, Joined, Step
 from kvision.augmentation.engine.record import Child
 from kvision.augmentation.engine.run_plans import RunPlan, plan_run
-from kvision.augmentation.engine.sized import SIZES, NumbersOfEach, Size, Sized, SizedNumbers, find_sized, listed
+from kvision.augmentation.engine.sized import (
+    CORNERS,
+    SIZES,
+    NumbersOfEach,
+    Size,
+    Sized,
+    SizedNumbers,
+    columns_of_sides,
+    find_sized,
+    listed,
+)
 from kvision.augmentation.keys import Keys
 from kvision.augmentation.sample_rows import numbers_by, read_rows
 from kvision.geometry.transform.lists.arguments import like_batch
@@ -259,7 +269,9 @@ def _make_replay(
 ) -> ReplayPlan | None:
     modules: list[Any] = [child.module for child in children]
     sized = find_sized(modules, applied, images[0].shape[0], context)
-    has_pixels = any(m._param_generator is not None and m._param_generator.per_pixel for m in modules)
+    has_pixels = any(
+        m._param_generator is not None and m._param_generator.per_pixel and not m.replays_pixels for m in modules
+    )
     if sized is None or has_pixels or context.output.memory_format is not None:
         return None
     each = [sized.reading.shapes(size) for size in SIZES]
@@ -287,19 +299,22 @@ def columns_of_sizes(
 
     given, count, host = [child.params for child in children], len(sides) // 2, torch.device("cpu")
     on_host, least = [*map(_on_host, given)], (min(sides[::2]), min(sides[1::2]))
-    one, *others = (columns_at(size, range(count), on_host, host) for size in (*SIZES, least))
+    probes = {size: columns_at(size, range(count), on_host, host) for size in (*SIZES, least)}
+    one, *others = probes.values()
     if all(torch.equal(one, other) for other in others):
         return columns
-    groups, at = numbers_by(zip(sides[::2], sides[1::2])), columns.device
+    own, at = None, columns.device
     if all(a is b for a, b in zip(on_host, given)):
         at = host
-    own = [
-        columns_at(size, rows, [params_of_rows(params, rows, count) for params in given], at)
-        for size, rows in groups.items()
-    ]
-    order = sorted(range(count), key=[*chain(*groups.values())].__getitem__)
-    own_columns = on_device(read_rows(torch.cat(own), order), columns.device)
-    return torch.cat([own_columns, columns[:, one.shape[1] :]], 1)  # those behind have one size
+        own = columns_of_sides([columns_at(size, range(count), given, host) for size in CORNERS], probes, sides)
+    if own is None:
+        groups = numbers_by(zip(sides[::2], sides[1::2]))
+        each = [
+            columns_at(size, rows, [params_of_rows(params, rows, count) for params in given], at)
+            for size, rows in groups.items()
+        ]
+        own = read_rows(torch.cat(each), sorted(range(count), key=[*chain(*groups.values())].__getitem__))
+    return torch.cat([on_device(own, columns.device), columns[:, one.shape[1] :]], 1)  # those behind have one size
 
 
 def _on_host(params: Params) -> Params:

@@ -296,10 +296,10 @@ def _is_run(images: Sequence[Tensor], children: Sequence[Child], context: CallCo
     if len(runs) != 1 or context.seed_of_samples is not context.seed:
         return False
     module: Any = children[0].module
+    takes_masks = getattr(module, "needs_masks", False) and not module.mixes_samples
     if children[0].params is None:
-        takes_masks = getattr(module, "needs_masks", False) and not module.mixes_samples
         return runs[0][1] or bool(takes_masks and module._takes_masks(images, context))
-    if not runs[0][1] or is_compiling() or any(child.samples is not None for child in children):
+    if not (runs[0][1] or takes_masks) or is_compiling() or any(child.samples is not None for child in children):
         return False
     return not any(isinstance(x, Tensor) and x.is_cuda for child in children for x in child.params.values())
 

@@ -96,6 +96,7 @@ class Alone(NamedTuple):
         y = module._run_list(images, execution)
         if not running.begins_with_batch:
             return y, None
+        y = torch.stack(y) if isinstance(y, list) else y  # as of LongestMaxSize(1), whose results are one pixel
         return y, running.warp_of_list([self.number], execution.matrix, y.shape[2:], module.resampling(module.flags))
 
     def run(self, x: Any, running: Running) -> tuple[Any, Stage | None]:

@@ -28,11 +28,11 @@ from kvision.geometry.transform.lists.arguments import sizes as sides_of
 Size = tuple[int, ...]
 Sizes = tuple[Size, Size]
 SIZES: Sizes = ((40037, 53003), (91009, 23003))  # of images that show what depends on their size; larger than any crop
-_CORNERS = ((64, 64), (128, 64), (64, 128))  # sizes from which linear functions follow; at the others they are compared
+CORNERS = ((64, 64), (128, 64), (64, 128))  # sizes from which linear functions follow; at the others they are compared
 _ANY = 2  # images of a batch, on which nothing here depends
 _SQUARE = (SIZES[0][0], SIZES[0][0])  # may be drawn for in another way
 _KNOWN = 4096  # sizes of which numbers are kept
-_PROBES = (*SIZES, *_CORNERS, _SQUARE, (1, 1), (3, 1000), (641, 427))
+_PROBES = (*SIZES, *CORNERS, _SQUARE, (1, 1), (3, 1000), (641, 427))
 
 
 class SizedNumbers(NamedTuple):
@@ -49,7 +49,7 @@ class SizedNumbers(NamedTuple):
             rows = [read(size) for size in _PROBES]
         except ValueError:  # of images that are too small
             return None
-        side, numbers, corners = _CORNERS[0][0], [], len(SIZES)
+        side, numbers, corners = CORNERS[0][0], [], len(SIZES)
         for first, higher, wider in zip(*rows[corners : corners + 3]):
             of_height, of_width = (higher - first) / side, (wider - first) / side
             numbers.append((first - side * of_height - side * of_width, of_height, of_width))
@@ -260,6 +260,21 @@ def listed(numbers: SizedNumbers | NumbersOfEach, sides: Sequence[int]) -> list[
     if is_compiling():  # a graph has no numbers of tensors
         return [n for size in zip(sides[::2], sides[1::2]) for n in numbers.at(*size)]
     return numbers.of_sides(sides).flatten().tolist()
+
+
+def columns_of_sides(corners: Sequence[Tensor], probes: Mapping[Size, Tensor], sides: Sequence[int]) -> Tensor | None:
+    """Columns (B, P) of images by height and width of each, of those at `CORNERS`; None if others tell that they are not linear."""
+    side, (first, higher, wider) = CORNERS[0][0], [x.double() for x in corners]
+    of_height, of_width = (higher - first) / side, (wider - first) / side
+    constant = first - side * of_height - side * of_width
+
+    def at(height: Any, width: Any) -> Tensor:
+        return (constant + height * of_height + width * of_width).to(corners[0].dtype)
+
+    if not all(torch.equal(at(*size), columns) for size, columns in probes.items()):
+        return None
+    height, width = torch.tensor(sides, dtype=torch.float64, device="cpu").view(-1, 2, 1).unbind(1)
+    return at(height, width)
 
 
 def _valid(read: Callable[[Size], Any]) -> list[tuple[Size, Any]]:

@@ -98,7 +98,7 @@ class MaskDropout(DropoutBase, keeps_contract=True):
     """
 
     reads_labels = "masks"
-    needs_masks = True
+    needs_masks = replays_lists = True
 
     def __init__(
         self,
@@ -225,18 +225,30 @@ class MaskDropout(DropoutBase, keeps_contract=True):
     def _move_mask_list(self, masks: list[Tensor], execution: Execution, fill: Any) -> list[Tensor] | None:
         if self.fill_mask is None:
             return masks
-        marks = (execution.found or {})["dropped"].view(torch.uint8)
+        marks = self._marks(masks, execution)
         if marks.device != masks[0].device:
             return None
         return filled_masks(
             masks, self.fill_mask if fill is None else fill, lambda x, value: erase_marked_list(x, marks, value)
         )
 
+    def _marks(self, images: Sequence[Tensor], execution: Execution) -> Tensor:
+        """1 at the pixels that are dropped from images or masks of a list, (B, 1, H, W) uint8 of the largest sides."""
+        if execution.found is not None:
+            dropped: Tensor = execution.found["dropped"]
+            return dropped.view(torch.uint8)
+        given, (_, _, height, width) = (execution.params or {})["dropped"], largest_shape(images)
+        each = [x[0] for x in given] if isinstance(given, list) else list(given)
+        marks = _padded(each, height, width, each[0].device)[0] != 0
+        if execution.chosen is not None:
+            marks = marks & execution.chosen.to(marks.device)[:, None, None, None]
+        return marks.to(images[0].device).view(torch.uint8)
+
     def _operates_on(self, dtype: torch.dtype) -> bool:
         return not self._is_customized() and not (isinstance(self.fill, str) and dtype == torch.float64)
 
     def _run_list(self, images: Sequence[Tensor], execution: Execution) -> list[Tensor]:
-        marks = (execution.found or {})["dropped"].to(images[0].device).view(torch.uint8)
+        marks = self._marks(images, execution).to(images[0].device)
         if isinstance(self.fill, str):
             return fill_with_noise(images, marks, self._pixel_noise(execution, execution.redraw, marks.device))
         return list(erase_marked_list(images, marks, self._values(like_batch(images), {})[:, :, 0, 0]))

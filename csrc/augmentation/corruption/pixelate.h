@@ -28,6 +28,16 @@ struct BlockAxis {
   KV_HD unsigned block(unsigned i) const {
     return value == BlockValue::pixel ? i * count / size : (2 * i + 1) * count / (2 * size);
   }
+  // The first pixel that shows a block; those up to the first one of the next block do, too.
+  KV_HD unsigned first_shown(unsigned block) const {
+    return value == BlockValue::pixel ? (block * size + count - 1) / count
+                                      : (2 * block * size + count - 1) / (2 * count);
+  }
+  // The first block that may read pixel i; the next one may, too.
+  KV_HD unsigned first_reader(unsigned i) const {
+    if (value == BlockValue::pixel) return (i * count + size - 1) / size;
+    return value == BlockValue::mean ? i * count / size : ((2 * i + 1) * count - 1) / (2 * size);
+  }
 };
 
 // What a block reads: pixels [begin, end), each with its weight above 0, of the sum `total`. A block begins at a pixel
@@ -57,6 +67,18 @@ struct BlockPixels {
     return is_whole ? 1 : float(min((i + 1) * count, last) - max(i * count, first));
   }
 };
+// The weights of a pixel in the first block that may read it and in the next one, as BlockPixels has them, or 0.
+struct ReaderWeights {
+  float v[2];
+
+  KV_HD ReaderWeights(BlockAxis const& axis, unsigned i, unsigned reader) {
+    unsigned const low = i * axis.count, high = low + axis.count, border = (reader + 1) * axis.size;
+    if (axis.value == BlockValue::mean)
+      v[0] = float(min(high, border) - low), v[1] = high > border ? float(high - border) : 0;
+    else
+      v[0] = axis.value == BlockValue::mean_of_whole || border - axis.size < high, v[1] = 0;
+  }
+};
 
 template <class T>
 struct Pixelate {
@@ -79,5 +101,8 @@ constexpr int kMaxPixelateRow = 10240;
 
 KV_KERNEL(pixelate, Pixelate)
 KV_KERNEL(pixelate_list, PixelateList)
+// The transposes, from gradients x of results to those of images.
+KV_KERNEL(pixelate_backward, Pixelate)
+KV_KERNEL(pixelate_backward_list, PixelateList)
 
 }  // namespace kv::augmentation

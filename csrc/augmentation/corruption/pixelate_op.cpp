@@ -19,45 +19,81 @@ void check_sides(char const* op, Tensor const& images, int64_t height, int64_t w
            ": expected sides of at most ", kMaxPixelateSide, ", on CUDA ", kMaxPixelateRow, " elements of a row");
 }
 
-Tensor pixelate(Tensor const& images, Tensor const& counts, int64_t value) {
-  constexpr char const* op = "pixelate";
+template <class T>
+void run([[maybe_unused]] Tensor const& like, Pixelate<T> const& p, bool backward) {
+  int64_t const rows = like.numel() ? p.y.rows() : 0, cost = 4 * p.y.row_size();
+  if constexpr (sizeof(T) > 1)
+    if (backward) {
+      KV_RUN(pixelate_backward, like, p, rows, 2 * cost);
+      return;
+    }
+  KV_RUN(pixelate, like, p, rows, cost);
+}
+template <class T>
+void run([[maybe_unused]] Tensor const& like, PixelateList<T> const& p, [[maybe_unused]] int64_t cost, bool backward) {
+  if constexpr (sizeof(T) > 1)
+    if (backward) {
+      KV_RUN(pixelate_backward_list, like, p, p.list.items, 2 * cost);
+      return;
+    }
+  KV_RUN(pixelate_list, like, p, p.list.items, cost);
+}
+
+// Of images, or, backward, of the gradients of results.
+Tensor pixelated(char const* op, Tensor const& images, Tensor const& counts, int64_t value, bool backward) {
   check_pixelate(op, images, counts, value);
   check_sides(op, images, images.size(2), images.size(3));
   Layout const layout = layout_of(images);
   Tensor const x = as_layout(images, layout), y = empty_like(x, layout), own = dense(counts);
-  dispatch_floating_and_uint8(op, x, [&]<class T>(Type<T>) {
+  auto const of_type = [&]<class T>(Type<T>) {
     Pixelate<T> const params{planes<T const>(x, layout),
                              planes<T>(y, layout),
                              data_ptr<float const>(own),
                              own.size(0) > 1 ? 2 : 0,
                              layout == Layout::channels_last ? 1 : x.size(1),
                              BlockValue(value)};
-    KV_RUN(pixelate, x, params, x.numel() ? params.y.rows() : 0, 4 * params.y.row_size());
-  });
+    run(x, params, backward);
+  };
+  backward ? dispatch_floating(op, x, of_type) : dispatch_floating_and_uint8(op, x, of_type);
   return y;
 }
+Tensor pixelate(Tensor const& images, Tensor const& counts, int64_t value) {
+  return pixelated("pixelate", images, counts, value, false);
+}
+Tensor pixelate_backward(Tensor const& grad, Tensor const& counts, int64_t value) {
+  return pixelated("pixelate_backward", grad, counts, value, true);
+}
 
-Tensors pixelate_list(Tensors const& images, OptionalTensor const& chosen, Tensor const& counts, int64_t value) {
-  ListedImages const list("pixelate_list", images, chosen);
+Tensors pixelated_list(char const* op, Tensors const& images, OptionalTensor const& chosen, Tensor const& counts,
+                       int64_t value, bool backward) {
+  ListedImages const list(op, images, chosen);
   Tensor const& like = list.like();
-  check_pixelate(list.kept.op, like, counts, value);
-  for (Tensor const& x : images) check_sides(list.kept.op, like, x.size(1), x.size(2));
+  check_pixelate(op, like, counts, value);
+  for (Tensor const& x : images) check_sides(op, like, x.size(1), x.size(2));
   Tensor const own = dense(counts);
-  dispatch_floating_and_uint8(list.kept.op, like, [&]<class T>(Type<T>) {
+  auto const of_type = [&]<class T>(Type<T>) {
     Pixelate<T> const all{
         {}, {}, data_ptr<float const>(own), own.size(0) > 1 ? 2 : 0, list.planes(), BlockValue(value)};
-    list.filter<PixelateList<T>>(all, 4, [&](auto const& p, [[maybe_unused]] int64_t cost) {
-      KV_RUN(pixelate_list, like, p, p.list.items, cost);
-    });
-  });
+    list.filter<PixelateList<T>>(all, 4, [&](auto const& p, int64_t cost) { run(like, p, cost, backward); });
+  };
+  backward ? dispatch_floating(op, like, of_type) : dispatch_floating_and_uint8(op, like, of_type);
   return list.kept.results;
+}
+Tensors pixelate_list(Tensors const& images, OptionalTensor const& chosen, Tensor const& counts, int64_t value) {
+  return pixelated_list("pixelate_list", images, chosen, counts, value, false);
+}
+Tensors pixelate_backward_list(Tensors const& grads, OptionalTensor const& chosen, Tensor const& counts,
+                               int64_t value) {
+  return pixelated_list("pixelate_backward_list", grads, chosen, counts, value, true);
 }
 
 }  // namespace
 
 KV_OPERATOR(pixelate, "(Tensor images, Tensor counts, int value) -> Tensor")
+KV_OPERATOR(pixelate_backward, "(Tensor grad, Tensor counts, int value) -> Tensor")
 // The same of images (C, H, W) of different sizes, as a list. `chosen` (B,) float32: images whose value is 0 stay as
 // they are.
 KV_OPERATOR(pixelate_list, "(Tensor[] images, Tensor? chosen, Tensor counts, int value) -> Tensor[]")
+KV_OPERATOR(pixelate_backward_list, "(Tensor[] grads, Tensor? chosen, Tensor counts, int value) -> Tensor[]")
 
 }  // namespace kv::augmentation

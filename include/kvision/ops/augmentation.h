@@ -11,6 +11,8 @@ namespace detail {
 
 inline variable_list apply_operation_gradients(Backward const& b);
 inline variable_list iso_noise_gradients(Backward const& b);
+inline variable_list pixelate_gradients(Backward const& b);
+inline variable_list pixelate_backward_gradients(Backward const& b);
 inline variable_list paste_pieces_gradients(Backward const& b);
 inline variable_list paste_pieces_backward_gradients(Backward const& b);
 inline variable_list salt_and_pepper_gradients(Backward const& b);
@@ -65,7 +67,8 @@ inline constexpr Operator<"sum_of_moved", Tensor(Tensor images, Tensor moves)> s
 
 // --- augmentation/corruption/pixelate_op.cpp
 
-inline constexpr Operator<"pixelate", Tensor(Tensor images, Tensor counts, int64_t value)> pixelate{no_gradient};
+inline constexpr Operator<"pixelate", Tensor(Tensor images, Tensor counts, int64_t value)> pixelate{
+    Rule{detail::pixelate_gradients, 0, false}};
 
 // --- augmentation/corruption/rain_op.cpp
 
@@ -213,6 +216,15 @@ inline variable_list iso_noise_gradients(Backward const& b) {
                {b.grads[0], b.arguments[0], b.arguments[1], b.arguments[2], b.arguments[3], b.arguments[4],
                 b.arguments[5], b.arguments[6]},
                no_gradient);
+}
+
+inline variable_list pixelate_gradients(Backward const& b) {
+  return b.run("pixelate_backward", {b.grads[0], b.arguments[1], b.arguments[2]},
+               Rule{pixelate_backward_gradients, 0, false});
+}
+
+inline variable_list pixelate_backward_gradients(Backward const& b) {
+  return b.run("pixelate", {b.grads[0], b.arguments[1], b.arguments[2]}, Rule{pixelate_gradients, 0, false});
 }
 
 inline variable_list paste_pieces_gradients(Backward const& b) {

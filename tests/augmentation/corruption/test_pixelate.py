@@ -5,6 +5,7 @@ import torch
 from torch import Tensor
 
 from kvision._modes import BLOCK_VALUE
+from kvision.augmentation.corruption.pixelate import _pixelate_backward as pixelate_backward
 from kvision.augmentation.corruption.pixelate import pixelate
 from op_tests import OpTests, assert_close
 
@@ -17,11 +18,11 @@ def counts(x: Tensor) -> Tensor:
 
 
 class TestPixelate(OpTests):
-    operators = ("pixelate",)
+    operators = ("pixelate", "pixelate_backward")
     bytes = True
     variants = [{"counts": counts, "value": value} for value in BLOCK_VALUE.values()]
     accepted = ("counts of torch.float32", "value 0")
-    mixed = ("counts", "images")
+    mixed = ("counts", "images", "grad")
     tolerances = {torch.uint8: (0, 1)}  # sums in another order round to the other byte
 
     @staticmethod
@@ -42,6 +43,18 @@ def test_blocks_of_random_counts(layout, device):
         y = pixelate(x.to(device), blocks.to(device), value).cpu()
         expected = pixelate.reference(x, blocks, value)
         assert_close(y, expected, 1e-5, 1e-5)
+        assert y.is_contiguous(memory_format=layout)
+
+
+@pytest.mark.parametrize("layout", [torch.contiguous_format, torch.channels_last], ids=str)
+def test_gradients_of_random_counts(layout, device):
+    """Of one block, of as many as pixels, and between."""
+    grad = torch.rand(6, 3, 71, 301).contiguous(memory_format=layout)
+    blocks = torch.stack([torch.randint(1, 72, (6,)), torch.randint(1, 302, (6,))], 1).float()
+    blocks[0], blocks[1] = 1, 400
+    for value in BLOCK_VALUE.values():
+        y = pixelate_backward(grad.to(device), blocks.to(device), value).cpu()
+        assert_close(y, pixelate_backward.reference(grad.double(), blocks, value).float(), 1e-4, 1e-5)
         assert y.is_contiguous(memory_format=layout)
 
 

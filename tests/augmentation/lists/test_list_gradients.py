@@ -29,6 +29,8 @@ PROGRAMS = {
     "range": lambda: A.RandomAutoContrast(p=0.8),
     "means of channels": lambda: A.CommonCorruption("contrast", 2, p=0.8),
     "blocks": lambda: A.RandomJPEG((20.0, 80.0), p=0.8),
+    "pixels of blocks": lambda: A.Downscale((0.2, 0.9), p=0.8),
+    "means of blocks": lambda: A.Downscale((0.2, 0.9), antialias=True, p=0.8),
     "illumination": lambda: A.RandomLinearIllumination(p=0.8),
     "fog": lambda: A.RandomFog(p=0.8),
     "frost": lambda: A.RandomFrost(torch.rand(2, 3, 70, 140), p=0.8),
@@ -83,7 +85,7 @@ def test_other_channels_and_long_lists(device):
 
 LONG = [
     *("jitter", "sharpness", "medians", "ringing", "glass", "levels", "range", "means of channels"),
-    *("blocks", "fog", "hue and light", "illumination", "speckle", "erasing"),
+    *("blocks", "fog", "hue and light", "means of blocks", "illumination", "speckle", "erasing"),
 ]
 
 
@@ -111,7 +113,9 @@ def test_pixels_that_stay_pass_their_gradients(name, device):
     assert torch.equal(found[1], grads[1] if name == "levels" else torch.zeros_like(grads[1]))
 
 
-@pytest.mark.parametrize("name", ["medians", "range", "means of channels", "blocks", "hue and light"])
+@pytest.mark.parametrize(
+    "name", ["medians", "range", "means of channels", "blocks", "hue and light", "means of blocks"]
+)
 def test_gradients_of_images_of_one_size_are_those_of_a_batch(name, device):
     images = [x[:, :16, :16].clone().requires_grad_() for x in pictures(device, [(16, 17), (33, 20), (40, 64)])]
     augment, batch = PROGRAMS[name](), torch.stack(images).detach().requires_grad_()
@@ -125,7 +129,7 @@ def test_an_image_that_appears_twice_gets_both_gradients(device):
     first, second = pictures(device, [(16, 17), (33, 20)])
     first.requires_grad_()
     names = ("medians", "ringing", "glass", "range", "levels", "means of channels", "sharpness", "blocks", "fog")
-    for name in (*names, "hue and light"):
+    for name in (*names, "hue and light", "pixels of blocks", "means of blocks"):
         augment, seeds = PROGRAMS[name](), torch.arange(3, device=device)
         results = augment([first, second, first], seed=seeds)
         grads = [torch.rand_like(y) for y in results]

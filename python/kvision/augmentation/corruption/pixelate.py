@@ -24,15 +24,28 @@ def _reference(images: Tensor, counts: Tensor, value: int) -> Tensor:
     show the block that their centers lie in. Or it is the pixel that its first corner lies in, as in OpenCV's nearest
     interpolation, and pixels show the block that their first corners lie in.
     """
-    sizes, own = images.shape[-2:], compute_dtype(images)
-    each = [count.long().clamp(min=1).clamp(max=size)[:, None] for count, size in zip(counts.unbind(1), sizes)]
-    down, across = (_weights(size, count, value).to(own)[:, None] for size, count in zip(sizes, each))
-    x = images.to(own)
+    down, across = _axes(images, counts, value)
+    x = images.to(down.dtype)
     is_number = x.isfinite()  # blocks that have none keep away from the sums of others
     mean = down @ torch.where(is_number, x, 0) @ across.mT
+    own = down.dtype
     has_others = (down > 0).to(own) @ (~is_number).to(own) @ (across > 0).to(own).mT > 0
     mean = torch.where(has_others, torch.nan, mean)
     return match_layout((mean.round() if images.dtype == torch.uint8 else mean).to(images.dtype), images)
+
+
+@without_autocast_and_tf32
+def _reference_backward(grad: Tensor, counts: Tensor, value: int) -> Tensor:
+    """The transpose."""
+    down, across = _axes(grad, counts, value)
+    return match_layout((down.mT @ grad.to(down.dtype) @ across).to(grad.dtype), grad)
+
+
+def _axes(images: Tensor, counts: Tensor, value: int) -> list[Tensor]:
+    """The weights (B, 1, size, size) down and across, of the type that is computed in."""
+    sizes, own = images.shape[-2:], compute_dtype(images)
+    each = [count.long().clamp(min=1).clamp(max=size)[:, None] for count, size in zip(counts.unbind(1), sizes)]
+    return [_weights(size, count, value).to(own)[:, None] for size, count in zip(sizes, each)]
 
 
 def _weights(size: int, count: Tensor, value: int) -> Tensor:
@@ -68,5 +81,21 @@ def _serves(shape: tuple[int, ...], like: Tensor) -> str | None:
     return None
 
 
-pixelate = register("pixelate", _reference, bytes=True, supports=_supports)
-register_filter("pixelate_list", pixelate, lambda b, counts, value: (row(counts, b), value), supports=_supports_list)
+pixelate = register(
+    "pixelate", _reference, gradients="images: pixelate_backward", linear=True, bytes=True, supports=_supports
+)
+_pixelate_backward = register(
+    "pixelate_backward",
+    _reference_backward,
+    gradients="grad: pixelate(images=grad_grad)",
+    linear=True,
+    supports=_supports,
+)
+
+
+def _of_sample(b: int, counts: Tensor, value: int) -> tuple[Tensor | None, int]:
+    return row(counts, b), value
+
+
+register_filter("pixelate_list", pixelate, _of_sample, transposed=_pixelate_backward, supports=_supports_list)
+register_filter("pixelate_backward_list", _pixelate_backward, _of_sample, transposed=pixelate, supports=_supports_list)

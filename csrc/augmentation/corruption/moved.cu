@@ -66,18 +66,69 @@ __device__ __forceinline__ void sum_tile(SumOfMoved<T> const& p, unsigned column
         result[(top + i) * p.y_strides[2] + j * p.y_strides[1]] = round_to<T>(sum[i][j]);
 }
 
+// The transpose, of gradients. Pixels of zooms are read by few positions, which are looked at one by one.
 template <class T, int Channels, class Offset>
-__global__ void __launch_bounds__(32 * kMovedWarps) sum_moved(__grid_constant__ SumOfMoved<T> const p) {
-  sum_tile<T, Channels, Offset>(p, blockIdx.x, blockIdx.y, blockIdx.z);
+__device__ __forceinline__ void gather_tile(SumOfMoved<T> const& p, unsigned column, unsigned row_block,
+                                            unsigned group) {
+  using F = Compute<T>;
+  int64_t const groups = p.channels / Channels, b = group / groups, c = group % groups * Channels;
+  int const height = int(p.height), width = int(p.width), left = column * 32 + threadIdx.x,
+            top = (row_block * kMovedWarps + threadIdx.y) * kMovedRows;
+  if (top >= height || left >= width) return;
+  T const* const grad = p.x + b * p.x_strides[0] + c * p.x_strides[1];
+  Offset const channel = Offset(p.x_strides[1]), row_stride = Offset(p.x_strides[2]), pixel = Offset(p.x_strides[3]);
+  F sum[kMovedRows][Channels] = {};
+  for (int k = 0; k < int(p.num_moves); ++k) {
+    F const* const move = p.moves + b * p.move_stride + 4 * k;
+    F const scale = move[0], weight = move[3];
+    if (weight == 0) continue;
+    ReadersOfPixel<F> const across(scale, move[1], left, width);
+#pragma unroll
+    for (int i = 0; i < kMovedRows; ++i) {
+      if (top + i >= height) break;
+      ReadersOfPixel<F> const down(scale, move[2], top + i, height);
+      for (int row = down.begin; row < down.end; ++row) {
+        F const of_row = weight * down.weight(row);
+        if (of_row == 0) continue;
+        for (int x = across.begin; x < across.end; ++x) {
+          F const own = across.weight(x);
+          if (own == 0) continue;
+          Offset const at = row * row_stride + x * pixel;
+#pragma unroll
+          for (int j = 0; j < Channels; ++j) sum[i][j] += of_row * own * F(read(grad[at + j * channel]));
+        }
+      }
+    }
+  }
+  T* const result = p.y + b * p.y_strides[0] + c * p.y_strides[1] + left * p.y_strides[3];
+#pragma unroll
+  for (int i = 0; i < kMovedRows; ++i)
+    if (top + i < height)
+#pragma unroll
+      for (int j = 0; j < Channels; ++j)
+        result[(top + i) * p.y_strides[2] + j * p.y_strides[1]] = round_to<T>(sum[i][j]);
 }
-template <class T, int Channels, class Offset>
+
+template <bool Backward, class T, int Channels, class Offset>
+__device__ __forceinline__ void run_tile(SumOfMoved<T> const& p, unsigned column, unsigned row_block, unsigned group) {
+  if constexpr (Backward)
+    gather_tile<T, Channels, Offset>(p, column, row_block, group);
+  else
+    sum_tile<T, Channels, Offset>(p, column, row_block, group);
+}
+
+template <bool Backward, class T, int Channels, class Offset>
+__global__ void __launch_bounds__(32 * kMovedWarps) sum_moved(__grid_constant__ SumOfMoved<T> const p) {
+  run_tile<Backward, T, Channels, Offset>(p, blockIdx.x, blockIdx.y, blockIdx.z);
+}
+template <bool Backward, class T, int Channels, class Offset>
 __global__ void __launch_bounds__(32 * kMovedWarps) sum_moved_of_list(__grid_constant__ SumOfMovedList<T> const p) {
   int const b = p.list.sample_of(int(blockIdx.x));
   SumOfMoved<T> const one = p.sample(b);
   unsigned const block = blockIdx.x - unsigned(p.list.first[b]), across = unsigned(ceil_div(int(one.width), 32)),
                  down = unsigned(ceil_div(int(one.height), kMovedWarps * kMovedRows)), row = block / across,
                  group = row / down;
-  sum_tile<T, Channels, Offset>(one, block - row * across, row - group * down, group);
+  run_tile<Backward, T, Channels, Offset>(one, block - row * across, row - group * down, group);
 }
 
 // Whether elements of a sample are counted by ints.
@@ -89,19 +140,19 @@ bool fits_int(SumOfMoved<T> const& p) {
   return last <= INT32_MAX;
 }
 
-template <class T, int Channels>
+template <bool Backward, class T, int Channels>
 int launch(SumOfMoved<T> const& p, CUstream_st* stream) {
   dim3 const blocks(unsigned(ceil_div(p.width, 32)), unsigned(ceil_div(p.height, kMovedWarps * kMovedRows)),
                     unsigned(p.batch * p.channels / Channels)),
       threads(32, kMovedWarps);
   if (fits_int(p))
-    sum_moved<T, Channels, int><<<blocks, threads, 0, stream>>>(p);
+    sum_moved<Backward, T, Channels, int><<<blocks, threads, 0, stream>>>(p);
   else
-    sum_moved<T, Channels, int64_t><<<blocks, threads, 0, stream>>>(p);
+    sum_moved<Backward, T, Channels, int64_t><<<blocks, threads, 0, stream>>>(p);
   return cudaGetLastError();
 }
 
-template <class T, int Channels>
+template <bool Backward, class T, int Channels>
 int launch_list(SumOfMovedList<T> p, CUstream_st* stream) {
   int64_t blocks = 0;
   bool are_ints = true;
@@ -114,9 +165,9 @@ int launch_list(SumOfMovedList<T> p, CUstream_st* stream) {
   }
   dim3 const threads(32, kMovedWarps);
   if (are_ints)
-    sum_moved_of_list<T, Channels, int><<<unsigned(blocks), threads, 0, stream>>>(p);
+    sum_moved_of_list<Backward, T, Channels, int><<<unsigned(blocks), threads, 0, stream>>>(p);
   else
-    sum_moved_of_list<T, Channels, int64_t><<<unsigned(blocks), threads, 0, stream>>>(p);
+    sum_moved_of_list<Backward, T, Channels, int64_t><<<unsigned(blocks), threads, 0, stream>>>(p);
   return cudaGetLastError();
 }
 
@@ -124,15 +175,24 @@ int launch_list(SumOfMovedList<T> p, CUstream_st* stream) {
 
 template <class T>
 int sum_of_moved(SumOfMoved<T> const& p, CUstream_st* stream) {
-  return p.channels == 3 ? launch<T, 3>(p, stream) : launch<T, 1>(p, stream);
+  return p.channels == 3 ? launch<false, T, 3>(p, stream) : launch<false, T, 1>(p, stream);
 }
-
 template <class T>
 int sum_of_moved_list(SumOfMovedList<T> const& p, CUstream_st* stream) {
-  return p.all.channels == 3 ? launch_list<T, 3>(p, stream) : launch_list<T, 1>(p, stream);
+  return p.all.channels == 3 ? launch_list<false, T, 3>(p, stream) : launch_list<false, T, 1>(p, stream);
+}
+template <class T>
+int sum_of_moved_backward(SumOfMoved<T> const& p, CUstream_st* stream) {
+  return p.channels == 3 ? launch<true, T, 3>(p, stream) : launch<true, T, 1>(p, stream);
+}
+template <class T>
+int sum_of_moved_backward_list(SumOfMovedList<T> const& p, CUstream_st* stream) {
+  return p.all.channels == 3 ? launch_list<true, T, 3>(p, stream) : launch_list<true, T, 1>(p, stream);
 }
 
 KV_INSTANTIATE_WITH_BYTES(sum_of_moved, SumOfMoved)
 KV_INSTANTIATE_WITH_BYTES(sum_of_moved_list, SumOfMovedList)
+KV_INSTANTIATE(sum_of_moved_backward, SumOfMoved)
+KV_INSTANTIATE(sum_of_moved_backward_list, SumOfMovedList)
 
 }  // namespace kv::augmentation::cuda

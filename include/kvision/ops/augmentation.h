@@ -11,6 +11,8 @@ namespace detail {
 
 inline variable_list apply_operation_gradients(Backward const& b);
 inline variable_list iso_noise_gradients(Backward const& b);
+inline variable_list sum_of_moved_gradients(Backward const& b);
+inline variable_list sum_of_moved_backward_gradients(Backward const& b);
 inline variable_list pixelate_gradients(Backward const& b);
 inline variable_list pixelate_backward_gradients(Backward const& b);
 inline variable_list paste_pieces_gradients(Backward const& b);
@@ -63,7 +65,8 @@ inline constexpr Operator<"add_layer", Tensor(Tensor images, Tensor layer, Optio
 
 // --- augmentation/corruption/moved_op.cpp
 
-inline constexpr Operator<"sum_of_moved", Tensor(Tensor images, Tensor moves)> sum_of_moved{no_gradient};
+inline constexpr Operator<"sum_of_moved", Tensor(Tensor images, Tensor moves)> sum_of_moved{
+    Rule{detail::sum_of_moved_gradients, 0, false}};
 
 // --- augmentation/corruption/pixelate_op.cpp
 
@@ -216,6 +219,14 @@ inline variable_list iso_noise_gradients(Backward const& b) {
                {b.grads[0], b.arguments[0], b.arguments[1], b.arguments[2], b.arguments[3], b.arguments[4],
                 b.arguments[5], b.arguments[6]},
                no_gradient);
+}
+
+inline variable_list sum_of_moved_gradients(Backward const& b) {
+  return b.run("sum_of_moved_backward", {b.grads[0], b.arguments[1]}, Rule{sum_of_moved_backward_gradients, 0, false});
+}
+
+inline variable_list sum_of_moved_backward_gradients(Backward const& b) {
+  return b.run("sum_of_moved", {b.grads[0], b.arguments[1]}, Rule{sum_of_moved_gradients, 0, false});
 }
 
 inline variable_list pixelate_gradients(Backward const& b) {

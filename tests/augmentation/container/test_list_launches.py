@@ -43,7 +43,6 @@ def grows(augment, images):
 # The same of backward passes: what takes a call, or a launch of torch's operators, for each image.
 BACKWARD_BY_SIZE = {
     "an antialiased warp": {"RandomZoomOut"},
-    "reads of neighbors": {"ZoomBlur"},
 }
 
 

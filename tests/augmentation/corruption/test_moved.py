@@ -24,7 +24,7 @@ def moves(x: Tensor) -> Tensor:
 
 
 class TestSumOfMoved(OpTests):
-    operators = ("sum_of_moved",)
+    operators = ("sum_of_moved", "sum_of_moved_backward")
     bytes = True
     variants = [{"moves": moves}]
     mixed = ("moves",)

@@ -31,6 +31,7 @@ PROGRAMS = {
     "blocks": lambda: A.RandomJPEG((20.0, 80.0), p=0.8),
     "pixels of blocks": lambda: A.Downscale((0.2, 0.9), p=0.8),
     "means of blocks": lambda: A.Downscale((0.2, 0.9), antialias=True, p=0.8),
+    "zoom": lambda: A.ZoomBlur(p=0.8),
     "illumination": lambda: A.RandomLinearIllumination(p=0.8),
     "fog": lambda: A.RandomFog(p=0.8),
     "frost": lambda: A.RandomFrost(torch.rand(2, 3, 70, 140), p=0.8),
@@ -85,7 +86,7 @@ def test_other_channels_and_long_lists(device):
 
 LONG = [
     *("jitter", "sharpness", "medians", "ringing", "glass", "levels", "range", "means of channels"),
-    *("blocks", "fog", "hue and light", "means of blocks", "illumination", "speckle", "erasing"),
+    *("blocks", "fog", "hue and light", "means of blocks", "zoom", "illumination", "speckle", "erasing"),
 ]
 
 
@@ -129,7 +130,7 @@ def test_an_image_that_appears_twice_gets_both_gradients(device):
     first, second = pictures(device, [(16, 17), (33, 20)])
     first.requires_grad_()
     names = ("medians", "ringing", "glass", "range", "levels", "means of channels", "sharpness", "blocks", "fog")
-    for name in (*names, "hue and light", "pixels of blocks", "means of blocks"):
+    for name in (*names, "hue and light", "pixels of blocks", "means of blocks", "zoom"):
         augment, seeds = PROGRAMS[name](), torch.arange(3, device=device)
         results = augment([first, second, first], seed=seeds)
         grads = [torch.rand_like(y) for y in results]

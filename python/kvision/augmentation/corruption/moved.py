@@ -6,7 +6,8 @@ import torch
 from torch import Tensor
 
 from kvision._constants import constant
-from kvision._ops import register
+from kvision._list_ops import ListOperator
+from kvision._ops import register, vjp
 from kvision.geometry.transform.lists.arguments import row
 from kvision.geometry.transform.lists.kept_sizes import register_list
 
@@ -44,7 +45,18 @@ def _read(images: Tensor, axis: int, scale: Tensor, shift: Tensor) -> Tensor:
     return torch.where(t > 0, values + t * (gather(second) - values), values)
 
 
-sum_of_moved = register("sum_of_moved", _reference, bytes=True)
+def _reference_backward(grad: Tensor, moves: Tensor) -> Tensor:
+    """The transpose."""
+    of_images: Tensor = vjp(_reference)(grad, torch.zeros_like(grad), moves)
+    return of_images
+
+
+sum_of_moved = register(
+    "sum_of_moved", _reference, gradients="images: sum_of_moved_backward; moves: reference", bytes=True
+)
+_sum_of_moved_backward = register(
+    "sum_of_moved_backward", _reference_backward, gradients="grad: sum_of_moved(images=grad_grad); moves: reference"
+)
 
 
 def _kept(chosen: Tensor, moves: Tensor) -> tuple[Tensor]:
@@ -53,4 +65,20 @@ def _kept(chosen: Tensor, moves: Tensor) -> tuple[Tensor]:
     return (torch.where(chosen[:, None, None] != 0, moves, constant(still, moves)),)
 
 
-register_list("sum_of_moved_list", sum_of_moved, lambda b, moves: (row(moves, b),), kept=_kept)
+def _of_sample(b: int, moves: Tensor) -> tuple[Tensor | None]:
+    return (row(moves, b),)
+
+
+_sum_of_moved_list: ListOperator = register_list(
+    "sum_of_moved_list",
+    sum_of_moved,
+    _of_sample,
+    kept=_kept,
+    of_images=lambda grads, images, moves: _sum_of_moved_backward_list(grads, moves),
+)
+_sum_of_moved_backward_list: ListOperator = register_list(
+    "sum_of_moved_backward_list",
+    _sum_of_moved_backward,
+    _of_sample,
+    of_images=lambda grad_grads, grads, moves: _sum_of_moved_list(grad_grads, moves),
+)

@@ -7,10 +7,12 @@
 //                           levels (16 x 8) times a diagonal of the factor of the channel, plus its offset
 //   patches                 shared memory, in the order of the result; then copied by vectors
 //
-// One more warp finds the weights of the rows of the next tile. A thread's result of a product is its operand of the
-// next one as it is: nothing between pixels and patches leaves registers. Pairs of bytes, widened to words, are pairs
-// of subnormal floats in 2^-24, as are levels: a sum in that unit is rounded to a level by its conversion to 16 bits.
-// Weights have 11 bits and add up to 1; what their rounding leaves is given to one of the smallest.
+// One more warp finds the weights of the rows of the next tile. Planes of pixels that fit are copied to shared memory,
+// a tile ahead of their use: warps waited for loads to registers nearly half of the time. A thread's result of a
+// product is its operand of the next one as it is: nothing between pixels and patches leaves registers. Pairs of bytes,
+// widened to words, are pairs of subnormal floats in 2^-24, as are levels: a sum in that unit is rounded to a level by
+// its conversion to 16 bits. Weights have 11 bits and add up to 1; what their rounding leaves is given to one of the
+// smallest.
 #include "contrib/vision_patches_bytes.cuh"
 
 namespace kv::contrib::cuda {
@@ -18,7 +20,7 @@ namespace {
 
 constexpr int kRows = 32;            // of a tile, at most
 constexpr int kPrologue = 2;         // tiles that would take as long as what is done once a strip
-constexpr int64_t kShared = 110000;  // bytes of a block, at most
+constexpr int64_t kShared = 113000;  // bytes of a block, at most: two fit a multiprocessor
 // Columns of a tile, at most: 8 warps with that of the weights of rows fit 3 blocks' registers. Weights in shared
 // memory take less of these.
 constexpr int columns_of_tiles(int steps) { return steps == 2 || steps == 3 ? 112 : 128; }
@@ -35,7 +37,12 @@ struct ByteTiles {
   uint32_t per_plane;            // 2^32 over the vectors of a plane of a patch, rounded up
   int steps;                     // of 16 columns of the image that 16 of the result read
   int chunks;                    // of the image that a tile reads, at most
-  int x_weights, patches;
+  int x_weights, pixels, patches;
+  // Planes of pixels in shared memory, if those of two tiles fit: rows, vectors of 16 bytes that are copied of a row,
+  // 2^32 over these, rounded up, and bytes from row to row and from plane to plane.
+  bool stages;
+  int rows, vectors;
+  uint32_t per_vectors, pitch, plane;
   int bytes;
 };
 
@@ -75,6 +82,8 @@ struct Shared {
   TileRows of_tiles[2];
 };
 
+// Whether pixels are copied to shared memory a tile ahead of their use.
+constexpr bool stages(int steps, bool planes) { return planes && (steps == 2 || steps == 3); }
 constexpr int blocks_at_once(int steps, bool planes) { return steps == 2 && planes ? 3 : 2; }
 
 // `Chunks`: of a tile, or 0 for any number.
@@ -85,6 +94,7 @@ __global__ void __launch_bounds__(threads_of(Steps), blocks_at_once(Steps, Plane
   extern __shared__ __align__(16) unsigned char memory[];
   Shared& shared = *reinterpret_cast<Shared*>(memory);
   constexpr int kSize = int(sizeof(U));
+  constexpr bool kStages = stages(Steps, Planes);
   int const thread = int(threadIdx.x), lane = thread % 32, warp = thread / 32;
   int const size = p.patch, elements = p.patch_elements(), channels = p.channels;
 
@@ -150,11 +160,29 @@ __global__ void __launch_bounds__(threads_of(Steps), blocks_at_once(Steps, Plane
     });
   }
 
-  uint8_t const* const image_rows = static_cast<uint8_t const*>(image.data) + source.offset();
+  int const first_of_tile = axis_x.first(axis_x.center(first_column, scale_x), scale_x);
+  uint8_t const* const image_rows =
+      static_cast<uint8_t const*>(image.data) + (kStages ? first_of_tile : source.offset());
   int top = 0;                                       // of the rows of the image that a tile reads, plus lane / 4
-  uint32_t words[4][Source<Steps, Planes>::kWords];  // of the next chunk
+  uint32_t words[4][Source<Steps, Planes>::kWords];  // of the next chunk, or of this one
   auto const load = [&](uint8_t const* plane, int chunk) {
-    if constexpr (Steps > 0) source.load(plane, top + kChunk * chunk, words);
+    if constexpr (Steps > 0 && !kStages) source.load(plane, top + kChunk * chunk, words);
+  };
+  // Starts copies of the pixels of a tile. Vectors with a pixel of a row are safe to copy as a whole.
+  uint32_t const pixels = shared_address(memory + tiles.pixels);
+  auto const stage = [&](int i, int which) {
+    int const first_row = axis_y.first(axis_y.center(i * size, scale_y), scale_y);
+    uint32_t const all = pixels + which * channels * tiles.plane;
+#pragma unroll 1
+    for (int v = thread; v < tiles.rows * tiles.vectors; v += int(blockDim.x) - 32) {
+      int const row = int(__umulhi(unsigned(v), tiles.per_vectors)), x = 16 * (v - row * tiles.vectors);
+      uint64_t from = reinterpret_cast<uint64_t>(image_rows) +
+                      uint64_t(unsigned(min(first_row + row, source.last_row))) * source.row_stride;
+      uint32_t to = all + row * tiles.pitch + x;
+#pragma unroll 1
+      for (int c = 0; c < channels; ++c, from += image.channel_stride, to += tiles.plane)
+        start_copy(to, (from & ~uint64_t(15)) + x, x <= int(from % 16) + source.last - first_of_tile);
+    }
   };
   // The weights of the rows of a tile, while the patches of another one are made.
   int const y_bytes = tiles.chunks * 2048;
@@ -167,7 +195,12 @@ __global__ void __launch_bounds__(threads_of(Steps), blocks_at_once(Steps, Plane
     top = shared.of_tiles[which].top + lane / 4;
     if (has_columns) load(image_rows, 0);
   };
-  if (is_of_rows) find_rows(begin_i, 0);
+  if (is_of_rows) {
+    find_rows(begin_i, 0);
+  } else if constexpr (kStages) {
+    stage(begin_i, 0);
+    wait_for_copies();
+  }
   __syncthreads();
   begin_tile(0);
 
@@ -176,10 +209,14 @@ __global__ void __launch_bounds__(threads_of(Steps), blocks_at_once(Steps, Plane
   int64_t const strip_index = p.index(image, begin_i, tile_j);
   int which = 0;
   for (int i = begin_i; i < end_i; i += tiles.down, which ^= 1) {
-    int const down = min(tiles.down, image.rows - i);
-    if (is_of_rows) {
-      if (i + tiles.down < end_i) find_rows(i + tiles.down, which ^ 1);
-    } else if (has_columns) {
+    int const down = min(tiles.down, image.rows - i), next_i = i + tiles.down;
+    if (next_i < end_i) {
+      if (is_of_rows)
+        find_rows(next_i, which ^ 1);
+      else if constexpr (kStages)
+        stage(next_i, which ^ 1);
+    }
+    if (has_columns) {
       uint32_t const y_weights = own_memory + which * y_bytes;
       uint4 of_rows[2][2];  // weights of 16 rows of the result, of 16 of the image
       auto const load_weights = [&](int chunk) {
@@ -192,6 +229,7 @@ __global__ void __launch_bounds__(threads_of(Steps), blocks_at_once(Steps, Plane
       int const chunks = Chunks > 0 ? Chunks : (shared.of_tiles[which].count + kChunk - 1) / kChunk;
       uint8_t const* plane = image_rows;
       uint32_t plane_at = 0;  // bytes before the plane in the patches
+      uint32_t rows_at = pixels + which * channels * tiles.plane + lane / 4 * tiles.pitch;
       int c = 0;
 #pragma unroll 1
       do {
@@ -201,7 +239,17 @@ __global__ void __launch_bounds__(threads_of(Steps), blocks_at_once(Steps, Plane
         for (int k = 0; k < chunks; ++k) {
           float sums[4][4]{};
           if constexpr (Steps > 0) {
-            if (source.pixels == Pixels::shifted) source.shift(plane, top, words);
+            // Of the column from which on a row is loaded, in the first row of the lane.
+            unsigned address = unsigned(reinterpret_cast<uintptr_t>(plane)) + unsigned(top) * source.row_stride;
+            if constexpr (kStages) {
+              uint32_t const before = source.from - first_of_tile;
+              source.load(rows_at + k * (kChunk * tiles.pitch), tiles.pitch, address % 16 + before,
+                          (address + 8 * source.row_stride) % 16 + before, words);
+              address += before;
+            } else {
+              address += source.from - source.offset();
+            }
+            if (source.pixels == Pixels::shifted) source.shift(address, words);
 #pragma unroll
             for (int s = 0; s < Steps; ++s)
 #pragma unroll
@@ -270,11 +318,11 @@ __global__ void __launch_bounds__(threads_of(Steps), blocks_at_once(Steps, Plane
               store_shared(row_at[2 * m + n / 2 % 2] + at[n / 4 * 2 + n % 2] + plane_at, round_to<U>(v[n / 4][n % 4]));
           }
         }
-        plane_at += plane_bytes;
+        plane_at += plane_bytes, rows_at += tiles.plane;
       } while (++c < channels);
     }
     __syncthreads();
-    if (i + tiles.down < end_i) begin_tile(which ^ 1);
+    if (next_i < end_i) begin_tile(which ^ 1);
     // Patches that are adjacent in the result, or single ones.
     bool const is_whole = group == p.merge;
     int const run = is_whole ? across * group : 1, bytes = kSize * elements * run;
@@ -299,6 +347,7 @@ __global__ void __launch_bounds__(threads_of(Steps), blocks_at_once(Steps, Plane
         else
           copy(uint32_t{});
       }
+    if constexpr (kStages) wait_for_copies();
     __syncthreads();
   }
 }
@@ -307,7 +356,7 @@ __global__ void __launch_bounds__(threads_of(Steps), blocks_at_once(Steps, Plane
 
 // The largest tiles that fit shared memory, of blocks of merged patches where possible.
 template <class U>
-ByteTiles tiles_of(VisionPatches<uint8_t> const& p, PatchImage const* images, int count) {
+ByteTiles tiles_of(VisionPatches<uint8_t> const& p, PatchImage const* images, int count, bool planes) {
   int const size = p.patch;
   double shrink_x = 0, shrink_y = 0;
   int64_t across_all = 0, down_all = 0;
@@ -338,9 +387,21 @@ ByteTiles tiles_of(VisionPatches<uint8_t> const& p, PatchImage const* images, in
     t.per_plane = uint32_t(ceil_div(int64_t(1) << 32, max(plane_vectors, int64_t(2))));
     t.steps = int(steps), t.chunks = int(chunks);
     int64_t const x_weights = sizeof(Shared) + 2 * chunks * 2048;
-    int64_t const patches = x_weights + (steps > 3 ? warps * steps * 512 : 0);
-    t.x_weights = int(x_weights), t.patches = int(patches);
-    t.bytes = int(min(patches + columns * rows * p.channels * int64_t(sizeof(U)), int64_t(INT32_MAX)));
+    int64_t const pixels = x_weights + (steps > 3 ? warps * steps * 512 : 0);
+    int64_t const patch_bytes = columns * rows * p.channels * int64_t(sizeof(U));
+    t.rows = int(min(read(rows, shrink_y), chunks * kChunk));
+    t.vectors = int(ceil_div(read(columns, shrink_x) + 15, 16));
+    t.per_vectors = uint32_t(ceil_div(int64_t(1) << 32, t.vectors));
+    // Products read rows and columns of no weight after the last ones.
+    int64_t pixel_bytes = 0;
+    for (int64_t const pitch : {int64_t(16) * t.vectors, ceil_div(16 * t.vectors - 32, 64) * 64 + 32}) {
+      int64_t const bytes = 2 * p.channels * t.rows * pitch + (chunks * kChunk - t.rows) * pitch + 64;
+      if (!stages(t.steps, planes) || pixels + bytes + patch_bytes > kShared) break;
+      t.stages = true, t.pitch = uint32_t(pitch), t.plane = uint32_t(t.rows * pitch);
+      pixel_bytes = ceil_div(bytes, 16) * 16;
+    }
+    t.x_weights = int(x_weights), t.pixels = int(pixels), t.patches = int(pixels + pixel_bytes);
+    t.bytes = int(min(pixels + pixel_bytes + patch_bytes, int64_t(INT32_MAX)));
     return t;
   };
   auto const whole = [&](int64_t n) { return max(n >= p.merge ? n / p.merge * p.merge : n, int64_t(1)); };
@@ -379,12 +440,13 @@ int launch(VisionPatches<uint8_t> const& p, CUstream_st* stream) {
   for (int first = 0; first < p.count; first += kImages) {
     VisionPatches<uint8_t> part = p;
     part.count = min(p.count - first, kImages);
-    ByteTiles tiles = tiles_of<U>(p, p.images + first, part.count);
+    bool planes = true;
+    for (int n = first; n < first + part.count; ++n) planes = planes && p.images[n].step == 1;
+    ByteTiles tiles = tiles_of<U>(p, p.images + first, part.count, planes);
+    planes = planes && (tiles.steps > 3 || tiles.stages);
     for (int n = first; n < first + part.count; ++n)
       if (max(p.images[n].row_stride, p.images[n].step * p.images[n].width) > INT32_MAX / 8) return kUnsupported;
     if (tiles.bytes > max_shared_bytes(kShared) || tiles.down * p.patch > kRows) return kUnsupported;
-    bool planes = true;
-    for (int n = first; n < first + part.count; ++n) planes = planes && p.images[n].step == 1;
     tiles.strip =
         strip_of(tiles, p.images + first, part.count, multiprocessors() * blocks_at_once(tiles.steps, planes));
     Table table;

@@ -75,6 +75,16 @@ __device__ __forceinline__ uint4 load_shared(uint32_t from) {
                : "memory");
   return v;
 }
+__device__ __forceinline__ uint2 load_shared(uint32_t from, uint2) {
+  uint2 v;
+  asm volatile("ld.shared.v2.u32 {%0, %1}, [%2];" : "=r"(v.x), "=r"(v.y) : "r"(from) : "memory");
+  return v;
+}
+__device__ __forceinline__ uint32_t load_shared(uint32_t from, uint32_t) {
+  uint32_t v;
+  asm volatile("ld.shared.u32 %0, [%1];" : "=r"(v) : "r"(from) : "memory");
+  return v;
+}
 __device__ __forceinline__ void store_shared(uint32_t to, uint4 v) {
   asm volatile("st.shared.v4.u32 [%0], {%1, %2, %3, %4};" ::"r"(to), "r"(v.x), "r"(v.y), "r"(v.z), "r"(v.w) : "memory");
 }
@@ -102,6 +112,19 @@ __device__ __forceinline__ uint32_t load_global(uint64_t from, uint32_t) {
   return v;
 }
 __device__ __forceinline__ uint32_t shared_address(void const* p) { return uint32_t(__cvta_generic_to_shared(p)); }
+// Copies 16 bytes to shared memory, if `enabled`, while the thread goes on until it waits for all its copies.
+__device__ __forceinline__ void start_copy(uint32_t to, uint64_t from, bool enabled) {
+#if defined(__CUDA_ARCH__) && __CUDA_ARCH__ >= 800
+  asm volatile("{.reg .pred p; setp.ne.s32 p, %2, 0; @p cp.async.cg.shared.global [%0], [%1], 16;}" ::"r"(to),
+               "l"(from), "r"(int(enabled))
+               : "memory");
+#endif
+}
+__device__ __forceinline__ void wait_for_copies() {
+#if defined(__CUDA_ARCH__) && __CUDA_ARCH__ >= 800
+  asm volatile("cp.async.wait_all;" ::: "memory");
+#endif
+}
 // The same number, of which nvcc knows nothing.
 __device__ __forceinline__ uint32_t opaque(uint32_t x) { return __shfl_xor_sync(0xffffffffu, x, 0); }
 
@@ -253,7 +276,8 @@ __device__ __forceinline__ void write_y_weights(Axis const& axis, double scale, 
 // have at others, shifted; three channels next to each other, of which one is picked; or each byte alone.
 enum class Pixels { aligned, shifted, interleaved, apart };
 
-// The columns of the image that a warp reads, from `from` on. Planes: the first two of these only, in fewer registers.
+// The columns of the image that a warp reads, from `from` on. Planes: the first two of these only, in fewer registers;
+// from shared memory where `Steps` is known.
 // Words with a pixel of a row are safe to load as a whole. A lane's rows are 8 apart, so that its vectors of 8 bytes
 // are equally aligned in all of them: after the last row, the last one of these is read again.
 template <int Steps, bool Planes>
@@ -337,7 +361,7 @@ struct Source {
 #pragma unroll
       for (unsigned i = 0; i < 4; ++i) store(i, at + uint64_t(min(i, more)) * stride);
     };
-    if (Planes || pixels == Pixels::aligned || pixels == Pixels::shifted) {
+    if (pixels == Pixels::aligned || pixels == Pixels::shifted) {
       if (Steps == 2 || pixels == Pixels::aligned) {
         load_all(first & ~uint64_t(7), [&](int i, uint64_t at) {
           uint2 const both = load_global(at, uint2{});
@@ -383,13 +407,30 @@ struct Source {
       }
     }
   }
-  // Makes the bytes from `from` on of what was loaded. Lane % 4 has those before the next lane's; the last one's are no
-  // longer read.
-  __device__ __forceinline__ void shift(uint8_t const* plane, int y, uint32_t (&words)[4][kWords]) const {
-    unsigned const before =
-        (unsigned(reinterpret_cast<uintptr_t>(plane)) + unsigned(from - offset()) + unsigned(y) * row_stride) %
-        kShifted;
-    unsigned const bits = 8 * (before % 4);
+  // The same from shared memory, where the first of these rows begins at `rows` and the column `from` so many bytes
+  // further: `even` in this row, `odd` in the next one of the lane, and so on.
+  __device__ __forceinline__ void load(uint32_t rows, uint32_t pitch, uint32_t even, uint32_t odd,
+                                       uint32_t (&words)[4][kWords]) const {
+    bool const by_vectors = Steps == 2 || pixels == Pixels::aligned;
+    uint32_t const mask = by_vectors ? ~7u : ~3u, own = threadIdx.x % 4 * (by_vectors ? 8 : 4 * Steps);
+    uint32_t const from[] = {rows + (even & mask) + own, rows + (odd & mask) + own};
+#pragma unroll
+    for (unsigned i = 0; i < 4; ++i) {
+      uint32_t const at = from[i % 2] + 8 * i * pitch;
+      if (by_vectors) {
+        uint2 const both = load_shared(at, uint2{});
+        words[i][0] = both.x, words[i][1] = both.y;
+        if constexpr (Steps == 3) words[i][2] = load_shared(at + 32 - own / 2, uint32_t{});
+      } else {
+#pragma unroll
+        for (int s = 0; s < Steps; ++s) words[i][s] = load_shared(at + 4 * s, uint32_t{});
+      }
+    }
+  }
+  // Makes the bytes from `from` on, whose address this is, of what was loaded. Lane % 4 has those before the next
+  // lane's; the last one's are no longer read.
+  __device__ __forceinline__ void shift(unsigned address, uint32_t (&words)[4][kWords]) const {
+    unsigned const before = address % kShifted, bits = 8 * (before % 4);
     if constexpr (Steps == 2) {
       bool const by_word = before >= 4;
       int const lane = int(threadIdx.x % 32), lane_of_second = lane + by_word;

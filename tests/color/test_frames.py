@@ -162,6 +162,26 @@ def test_layouts_are_views(device):
     assert C.frames_to_rgb(odd).shape == (2, 3, 5, 7)
 
 
+@pytest.mark.parametrize("antialias", [False, True])
+@pytest.mark.parametrize("chroma", ["nearest", "left"])
+def test_resizes_of_all_layouts_have_the_same_bits(chroma, antialias, device):
+    """Large factors too, where windows end at the borders of the frame and of words."""
+    kwargs = {} if chroma == "nearest" else {"chroma": "linear", "siting": chroma}
+    x = codes(2, 84, 96).to(device)
+    y, uv = x[:, :56], x[:, 56:].unflatten(2, (48, 2))
+    u, v = (p.contiguous() for p in uv.unbind(-1))
+    vu = torch.stack((v, u), -1)
+    yvu = torch.cat((y.flatten(1), v.flatten(1), u.flatten(1)), 1)  # v first in memory, as in YV12
+    v_first = yvu[:, 56 * 96 :].unflatten(1, (2, 28, 48))
+    boxes = torch.tensor([[3.0, 2, 90.5, 55], [96, 50, 10, 0]], device=device)
+    for dsize, dtype in itertools.product(((9, 11), (14, 32)), (torch.uint8, torch.float16, torch.float32)):
+        resized = partial(C.resize_frames, dsize=dsize, boxes=boxes, dtype=dtype, antialias=antialias, **kwargs)
+        expected = resized(x)
+        assert torch.equal(resized((y, vu), layout="nv21"), expected)
+        for chroma_planes in ((u, v), (v_first[:, 1], v_first[:, 0])):
+            assert torch.equal(resized((y, *chroma_planes), layout="i420"), expected)
+
+
 @pytest.mark.parametrize("chroma", ["nearest", *SITINGS])
 def test_resize_is_a_resize_of_colors(chroma, device):
     kwargs = {} if chroma == "nearest" else {"chroma": "linear", "siting": chroma}

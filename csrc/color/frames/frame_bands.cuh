@@ -112,7 +112,9 @@ __global__ void __launch_bounds__(32 * band_warps(sizeof(S), Plain), kBandBlocks
   int const x0 = (int(blockIdx.x) * plan.warps + warp) * plan.columns, y0 = int(blockIdx.y) * plan.rows;
   int const columns = min(plan.columns, int(p.rgb.width) - x0), rows = min(plan.rows, int(p.rgb.height) - y0);
   for (int64_t frame = blockIdx.z; frame < p.rgb.count() / 3; frame += gridDim.z) {
-    bool const is_mirrored = band.set(p, frame, y0, rows, plan.warps, plan.steps, sizeof(S), true, steps);
+    bool const is_mirrored = band.find(p, frame, y0, rows, plan.warps);
+    __syncthreads();
+    band.write(p, frame, y0, rows, plan.warps, plan.steps, sizeof(S), true, steps);
 
     // The columns of the frame, `own` threads of them from `from` on.
     BoxAxis<float> const box_x = p.box_axis(frame, false);

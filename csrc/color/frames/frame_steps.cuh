@@ -70,25 +70,32 @@ struct BandRows {
   // Of a row: the steps of those before and its own of luma; the steps of it and of those before.
   int luma_end[kMaxBandRows], step_end[kMaxBandRows];
 
-  // The steps of `rows` rows from y0 on, where there is room for them. They are complete behind the next
-  // synchronization of the block. Returns whether the first row is the lowest one: the rows of the band are taken from
-  // the top of the frame to its bottom. `rotate`: the weights of row i of the result begin at slot i modulo their
-  // number, not at 0.
+  // The window of row i of the band: its rows are taken from the top of the frame to its bottom.
+  static __device__ __forceinline__ PixelWindow<float> window_of(BoxAxis<float> const& box, int y0, int rows, int i) {
+    return box.window(box.scale < 0 ? y0 + rows - 1 - i : y0 + i);
+  }
+  // Finds what `rows` rows from y0 on take. Returns whether the first one of the band is the lowest one of them.
   template <class T>
-  __device__ __forceinline__ bool set(PlanesToRgb<T> const& p, int64_t frame, int y0, int rows, int warps, int room,
-                                      int code_bytes, bool rotate, BandStep* steps) {
+  __device__ __forceinline__ bool find(PlanesToRgb<T> const& p, int64_t frame, int y0, int rows, int warps) {
     int const lane = int(threadIdx.x % 32), warp = int(threadIdx.x / 32);
     BoxAxis<float> const box = p.box_axis(frame, true);
-    bool const is_mirrored = box.scale < 0, has_row = lane < rows;
-    auto const window_of = [&](int i) { return box.window(is_mirrored ? y0 + rows - 1 - i : y0 + i); };
     for (int kind = warp; kind < 2; kind += warps)
-      if (has_row) {
-        PixelWindow<float> const w = window_of(lane);
+      if (lane < rows) {
+        PixelWindow<float> const w = window_of(box, y0, rows, lane);
         BandRanges& own_rows = kind ? chroma : luma;
         own_rows.first[lane] = kind ? w.first_chroma(p.y) : w.first;
         own_rows.last[lane] = kind ? w.last_chroma(p.y) : w.last;
       }
-    __syncthreads();
+    return box.scale < 0;
+  }
+  // Their steps, where there is room for them. The block synchronizes before and behind this. `rotate`: the weights of
+  // row i of the result begin at slot i modulo their number, not at 0.
+  template <class T>
+  __device__ __forceinline__ void write(PlanesToRgb<T> const& p, int64_t frame, int y0, int rows, int warps, int room,
+                                        int code_bytes, bool rotate, BandStep* steps) {
+    int const lane = int(threadIdx.x % 32), warp = int(threadIdx.x / 32);
+    BoxAxis<float> const box = p.box_axis(frame, true);
+    bool const has_row = lane < rows;
     for (int kind = warp; kind < 2; kind += warps) {
       bool const rolls_luma = __all_sync(0xffffffffu, !has_row || luma.can_roll<kLumaRows>(lane, rows));
       bool const rolls_chroma = __all_sync(0xffffffffu, !has_row || chroma.can_roll<kChromaRows>(lane, rows));
@@ -102,8 +109,8 @@ struct BandRows {
       }
       if (has_row && kind == 0) luma_end[lane] = end - own_steps + luma_steps, step_end[lane] = end;
       if (!has_row || end > room) continue;
-      PixelWindow<float> const w[] = {window_of(lane), window_of(min(lane + 1, rows - 1)),
-                                      window_of(min(lane + 2, rows - 1))};
+      PixelWindow<float> const w[] = {window_of(box, y0, rows, lane), window_of(box, y0, rows, min(lane + 1, rows - 1)),
+                                      window_of(box, y0, rows, min(lane + 2, rows - 1))};
       float const factor[] = {inverse(w[0].sum()), inverse(w[1].sum()), inverse(w[2].sum())};
       BandStep* const own = steps + end - own_steps;
       if (kind == 0)
@@ -114,7 +121,6 @@ struct BandRows {
                                   int(p.planes[1].row_stride) * code_bytes, BandStep::kChroma,
                                   [&](int n, int row) { return w[n].chroma_weight(p.y, row) * factor[n]; });
     }
-    return is_mirrored;
   }
 };
 

@@ -12,6 +12,9 @@ KV_HD Resize<T> strip_sample_at(ResizeWindowsList<T> const& p, int b) {
   return {one.x, one.y, one.resize_axis(one.window(0, 1), 1), one.resize_axis(one.window(0, 0), 0)};
 }
 
+// The warps of a block whose image has three planes: none has no plane.
+constexpr int kColorWarps = 6;
+
 // The sample that a block takes, and its strips, in shared memory.
 template <class T>
 struct StripBlock {
@@ -20,35 +23,45 @@ struct StripBlock {
   bool aligned;
   unsigned block;  // among those of the sample
 
-  // `strips`: the rows and the warps that all samples have in common.
+  // By two threads of different warps, one for what is along x. `all`: the rows and the warps that all samples have in
+  // common.
   template <class S>
-  static __device__ __forceinline__ void init(void* memory, ResizeWindowsList<T> const& p, ResizeStrips strips) {
+  __device__ __forceinline__ void init(ResizeWindowsList<T> const& p, ResizeStrips const& all, bool along_x) {
     int const b = p.list.sample_of(int(blockIdx.x));
-    Resize<T> const sample = strip_sample_at(p, b);
-    bool const aligned = strips_are_aligned<S>(sample.x);
-    divide_columns<S>(sample, aligned, strips);
-    divide_rows(sample, strips.rows, strips);
-    new (memory) StripBlock{sample, strips, aligned, blockIdx.x - unsigned(p.list.first[b])};
+    Resize<T> const own = strip_sample_at(p, b);
+    ResizeStrips divided = all;
+    if (along_x) {
+      aligned = strips_are_aligned<S>(own.x);
+      divide_columns<S>(own, aligned, divided);
+      sample.x = own.x, sample.columns = own.columns;
+      strips.across = divided.across, strips.elements = divided.elements, strips.lines = divided.lines;
+      block = blockIdx.x - unsigned(p.list.first[b]);
+    } else {
+      divide_rows(own, all.rows, divided);
+      sample.y = own.y, sample.rows = own.rows, sample.minuend = nullptr;
+      strips.rows = all.rows, strips.warps_down = all.warps_down;
+      strips.down = divided.down, strips.span_y = divided.span_y;
+    }
   }
 };
 
-template <class T, int M>
-__global__ void __launch_bounds__(kThreads, kBlocks)
+template <class T, int M, int W>
+__global__ void __launch_bounds__(StripOf<T, M, true, W>::kThreads, StripOf<T, M, true, W>::kBlocks)
     resize_list_strips(__grid_constant__ ResizeWindowsList<T> const p, ResizeStrips const strips) {
   __shared__ __align__(16) unsigned char memory[sizeof(StripBlock<T>)];
-  if (threadIdx.x == 0) StripBlock<T>::template init<StripOf<T, M, true>>(memory, p, strips);
+  auto& own = *reinterpret_cast<StripBlock<T>*>(memory);
+  if (threadIdx.x == 0) own.template init<StripOf<T, M, true, W>>(p, strips, true);
+  if (threadIdx.x == 32) own.template init<StripOf<T, M, true, W>>(p, strips, false);
   __syncthreads();
-  auto const& own = *reinterpret_cast<StripBlock<T> const*>(memory);
-  resize_block<T, M, true>(own.sample, own.strips, own.aligned, own.block);
+  resize_block<T, M, true, W>(own.sample, own.strips, own.aligned, own.block);
 }
 
-template <class T, int M>
-int launch(ResizeWindowsList<T>& p, CUstream_st* stream) {
-  using S = StripOf<T, M, true>;
+template <class T, int M, int W>
+int launch(ResizeWindowsList<T>& p, int64_t planes, CUstream_st* stream) {
+  using S = StripOf<T, M, true, W>;
   // With few planes of each image, warps that have none cost less than tables of more rows.
-  int64_t const planes = p.list.interleaved ? 1 : p.channels;
-  int const warps_down = warps_down_of(planes, 0.35);
-  int64_t const groups = ceil_div(planes, int64_t(kWarps / warps_down));
+  int const warps_down = W == kColorWarps ? 2 : warps_down_of(planes, 0.35);
+  int64_t const groups = ceil_div(planes, int64_t(W / warps_down));
   // A sample that needs as much shared memory as any, and how many strips of columns each one has.
   Resize<T> largest = strip_sample_at(p, 0);
   ResizeStrips strips{};
@@ -72,7 +85,7 @@ int launch(ResizeWindowsList<T>& p, CUstream_st* stream) {
       largest.rows.num = one.rows.num, largest.rows.den = one.rows.den;
   }
   auto const bytes_of = [&](int64_t rows) { return strip_bytes<S, true>(largest, strips, rows); };
-  int64_t const most = most_rows(bytes_of), resident = resident_blocks(bytes_of(most));
+  int64_t const most = most_rows(bytes_of), resident = resident_blocks<S>(bytes_of(most));
   if (most == 0) return kUnsupported;
   // Blocks take as long as their images are large: there are some more than run at once.
   height = ceil_div(height, int64_t(warps_down));
@@ -85,11 +98,17 @@ int launch(ResizeWindowsList<T>& p, CUstream_st* stream) {
   }
   if (blocks > INT32_MAX) return kUnsupported;
   int64_t const bytes = bytes_of(strips.rows);
-  auto* const kernel = resize_list_strips<T, M>;
+  auto* const kernel = resize_list_strips<T, M, W>;
   if (int const error = cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, int(bytes)))
     return error;
-  kernel<<<unsigned(blocks), kThreads, unsigned(bytes), stream>>>(p, strips);
+  kernel<<<unsigned(blocks), S::kThreads, unsigned(bytes), stream>>>(p, strips);
   return cudaGetLastError();
+}
+
+template <class T, int M>
+int launch(ResizeWindowsList<T>& p, CUstream_st* stream) {
+  int64_t const planes = p.list.interleaved ? 1 : p.channels;
+  return planes % 3 == 0 ? launch<T, M, kColorWarps>(p, planes, stream) : launch<T, M, 8>(p, planes, stream);
 }
 
 }  // namespace

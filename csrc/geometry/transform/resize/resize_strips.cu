@@ -5,7 +5,7 @@ namespace kv::geometry::cuda {
 namespace {
 
 template <class T, int M, bool Shrinks>
-__global__ void __launch_bounds__(kThreads, kBlocks)
+__global__ void __launch_bounds__(StripOf<T, M, Shrinks>::kThreads, StripOf<T, M, Shrinks>::kBlocks)
     resize_strips(__grid_constant__ Resize<T> const p, ResizeStrips const strips, bool aligned) {
   resize_block<T, M, Shrinks>(p, strips, aligned, blockIdx.x);
 }
@@ -19,7 +19,7 @@ int launch(Resize<T> const& p, CUstream_st* stream) {
   if (!divide_columns<S>(p, aligned, strips)) return kUnsupported;
   strips.warps_down = warps_down_of(planes, 0.125);
   auto const bytes_of = [&](int64_t rows) { return strip_bytes<S, Shrinks>(p, strips, rows); };
-  int64_t const most = most_rows(bytes_of), resident = resident_blocks(bytes_of(most)) * kWarps;
+  int64_t const most = most_rows(bytes_of), resident = resident_blocks<S>(bytes_of(most)) * S::kWarps;
   if (most == 0) return kUnsupported;
   int const rows = min(int(most), strip_height(planes * strips.across, p.y.height, 6, resident, resident));
   divide_rows(p, rows, strips);
@@ -27,8 +27,8 @@ int launch(Resize<T> const& p, CUstream_st* stream) {
   auto const kernel = resize_strips<T, M, Shrinks>;
   if (int const error = cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, int(bytes)))
     return error;
-  unsigned const blocks = unsigned(ceil_div(planes, kWarps / strips.warps_down)) * strips.across * strips.down;
-  kernel<<<blocks, kThreads, unsigned(bytes), stream>>>(p, strips, aligned);
+  unsigned const blocks = unsigned(ceil_div(planes, S::kWarps / strips.warps_down)) * strips.across * strips.down;
+  kernel<<<blocks, S::kThreads, unsigned(bytes), stream>>>(p, strips, aligned);
   return cudaGetLastError();
 }
 

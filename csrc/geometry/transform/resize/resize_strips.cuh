@@ -22,13 +22,13 @@
 namespace kv::geometry::cuda {
 namespace {
 
-constexpr int kWarps = 8, kThreads = 32 * kWarps;
 constexpr int kMaxElements = 256;  // of the result in a row of a strip
-constexpr int kBlocks = 3;         // on a multiprocessor at once
 
-// M: the most windows that hold a row, where the image shrinks, or the most rows in a window, where it grows.
-template <class T, int M, bool Shrinks>
+// M: the most windows that hold a row, where the image shrinks, or the most rows in a window, where it grows. W: the
+// warps of a block, of which 24 are on a multiprocessor at once.
+template <class T, int M, bool Shrinks, int W = 8>
 struct StripOf {
+  static constexpr int kWarps = W, kThreads = 32 * W, kBlocks = 24 / W;
   static constexpr int kSpan = Shrinks && M <= 4 ? 256 : 128;  // elements of a row
   static constexpr int kColumns = kSpan / 32;                  // of a thread, some of them adjacent
   static constexpr int kVector = 16 / int(sizeof(T)), kRowBytes = kSpan * int(sizeof(T));
@@ -77,11 +77,12 @@ __device__ __forceinline__ float group_sum(float x, int group) {
 }
 
 // Writes the factors of the weights of `count` pixels of the result from `from` on, for the backward pass. `thread`: of
-// a block, in any order of its warps.
-__device__ __forceinline__ void write_norms(ResizeAxis const& axis, int thread, float* norms, int from, int count) {
+// a block of `threads`, in any order of its warps.
+__device__ __forceinline__ void write_norms(ResizeAxis const& axis, int thread, int threads, float* norms, int from,
+                                            int count) {
   int const group = axis.max_readers > 8 ? 8 : 2, all = (count + 31) / 32 * 32 * group;  // `group` threads a pixel
 #pragma unroll 1
-  for (int t = thread; t < all; t += kThreads) {
+  for (int t = thread; t < all; t += threads) {
     int const i = t / group, index = min(from + i, axis.result - 1);
     Band<float> const band = axis.has_window() ? window_band<float>(axis, index) : call_extent(axis, index);
     float sum = 0;
@@ -103,10 +104,10 @@ struct WeightTable {
   int norms_from;
 
   // `thread`: as above.
-  __device__ __forceinline__ void write(ResizeAxis const& axis, int thread) const {
+  __device__ __forceinline__ void write(ResizeAxis const& axis, int thread, int threads) const {
     int const group = axis.max_taps > 8 ? 8 : 1;  // threads that share an entry
 #pragma unroll 1
-    for (int t = thread; t < slots * group; t += kThreads) {
+    for (int t = thread; t < slots * group; t += threads) {
       int const i = t / group, index = min(first_pixel + (step == 1 ? i : i / step), last_pixel);
       Contributors<float> const reads = find_contributors(axis, index);
       float* const to = weights + i * pixel_stride;
@@ -173,10 +174,10 @@ struct StripMemory {
   __device__ __forceinline__ StripMemory(Resize<T> const& p, ResizeStrips const& strips, unsigned char* memory,
                                          int row_slots) {
     int const warp = threadIdx.x / 32, columns_padded = (strips.elements + 31) & -32;
-    float* const all_lines = reinterpret_cast<float*>(memory + kWarps * S::kWarpBytes);
+    float* const all_lines = reinterpret_cast<float*>(memory + S::kWarps * S::kWarpBytes);
     ring = memory + warp * S::kWarpBytes;
     lines = all_lines + warp * strips.lines;
-    weights_of_rows = all_lines + kWarps * strips.lines;
+    weights_of_rows = all_lines + S::kWarps * strips.lines;
     weights_x = weights_of_rows + (Shrinks ? strips.warps_down * strips.span_y * S::kSlots : 0);
     first_x = reinterpret_cast<int*>(weights_x + p.columns.max_taps * columns_padded);
     end_x = first_x + columns_padded;
@@ -305,10 +306,11 @@ __device__ __forceinline__ void write_rows(Resize<T> const& p, Memory const& mem
 }
 
 // The strips of block number `block`.
-template <class T, int M, bool Shrinks>
+template <class T, int M, bool Shrinks, int W = 8>
 __device__ __forceinline__ void resize_block(Resize<T> const& p, ResizeStrips const& strips, bool aligned,
                                              unsigned block) {
-  using S = StripOf<T, M, Shrinks>;
+  using S = StripOf<T, M, Shrinks, W>;
+  constexpr int kThreads = S::kThreads;
   int const lane = threadIdx.x % 32, warp = threadIdx.x / 32, step = int(p.x.step);
   unsigned const q = block / strips.across, group = q / strips.down;
   int const e0 = int(block - q * strips.across) * strips.elements;
@@ -316,7 +318,7 @@ __device__ __forceinline__ void resize_block(Resize<T> const& p, ResizeStrips co
   int const taps_y = p.rows.max_taps, height = int(p.y.height);
   int const block_y = int(q - group * strips.down) * strips.rows * strips.warps_down;
   int const table_rows = strips.rows * strips.warps_down, row_slots = (table_rows + 31) & -32;
-  int const planes_per_block = kWarps / strips.warps_down;
+  int const planes_per_block = W / strips.warps_down;
   int64_t const plane = int64_t(group) * planes_per_block + warp / strips.warps_down;
   int const first_row = warp % strips.warps_down * strips.rows, y0 = block_y + first_row;  // of the warp
   int const rows = plane < p.y.count() ? min(strips.rows, height - y0) : 0;
@@ -353,20 +355,20 @@ __device__ __forceinline__ void resize_block(Resize<T> const& p, ResizeStrips co
     for (int i = 0; i < (Shrinks ? S::kRing - 1 : S::kRing); ++i) ring.fetch();
 
   // Phase 3: the weights. The last warps begin with those of rows.
-  int const thread_of_rows = 32 * (kWarps - 1 - warp) + lane;
+  int const thread_of_rows = 32 * (W - 1 - warp) + lane;
   if (p.columns.backward) {
-    write_norms(p.columns, threadIdx.x, memory.norms_x, from_x, min(to_x - from_x, S::kSpan));
-    write_norms(p.rows, thread_of_rows, memory.norms_y, block_from_y, block_to_y - block_from_y);
+    write_norms(p.columns, threadIdx.x, kThreads, memory.norms_x, from_x, min(to_x - from_x, S::kSpan));
+    write_norms(p.rows, thread_of_rows, kThreads, memory.norms_y, block_from_y, block_to_y - block_from_y);
     __syncthreads();
   }
   int const last_row = min(block_y + table_rows, height) - 1;
   WeightTable const columns{e0 / step,      last_x,       step,           padded, memory.weights_x, 1, padded,
                             memory.first_x, memory.end_x, memory.norms_x, from_x};
-  columns.write(p.columns, threadIdx.x);
+  columns.write(p.columns, threadIdx.x, kThreads);
   WeightTable const of_rows{block_y,          last_row,       1,           row_slots,
                             memory.weights_y, taps_y,         1,           memory.first_y,
                             memory.end_y,     memory.norms_y, block_from_y};
-  of_rows.write(p.rows, thread_of_rows);
+  of_rows.write(p.rows, thread_of_rows, kThreads);
   if constexpr (Shrinks)
     for (int i = threadIdx.x; i < strips.warps_down * strips.span_y * S::kSlots; i += kThreads)
       memory.weights_of_rows[i] = 0;
@@ -491,11 +493,11 @@ KV_HD void divide_rows(Resize<T> const& p, int rows, ResizeStrips& strips) {
   strips.down = unsigned(ceil_div(p.y.height, int64_t(rows) * strips.warps_down));
 }
 
-// Planes side by side in a block share its weights, unless too many warps had none: `idle` of them for each plane in
-// all.
+// Planes side by side in a block of 8 warps share its weights, unless too many warps had none: `idle` of them for each
+// plane in all.
 inline int warps_down_of(int64_t planes, double idle) {
   int down = 1;
-  while (double(-planes & (kWarps / down - 1)) > idle * double(planes)) down *= 2;
+  while (double(-planes & (8 / down - 1)) > idle * double(planes)) down *= 2;
   return down;
 }
 
@@ -505,7 +507,7 @@ int64_t strip_bytes(Resize<T> const& p, ResizeStrips const& strips, int64_t rows
   int64_t const slots = (rows * strips.warps_down + 31) & -32, padded = (strips.elements + 31) & -32;
   int64_t const norms = p.rows.backward ? S::kSpan + rows_read(p, rows * strips.warps_down) : 0;
   int64_t const of_rows = Shrinks ? strips.warps_down * rows_read(p, rows) * S::kSlots : 0;
-  return kWarps * (S::kWarpBytes + 4 * int64_t(strips.lines)) +
+  return S::kWarps * (S::kWarpBytes + 4 * int64_t(strips.lines)) +
          4 * ((p.columns.max_taps + 2) * padded + (p.rows.max_taps + 2) * slots + norms + of_rows);
 }
 
@@ -517,8 +519,9 @@ int64_t most_rows(BytesOf bytes_of) {
   return bytes_of(rows) > max_shared_bytes(200 << 10) ? 0 : rows;
 }
 // Blocks of so much shared memory that run at once.
-inline int64_t resident_blocks(int64_t bytes) {
-  return multiprocessors() * clamp((227 << 10) / (bytes + 1024), int64_t(1), int64_t(kBlocks));
+template <class S>
+int64_t resident_blocks(int64_t bytes) {
+  return multiprocessors() * clamp((227 << 10) / (bytes + 1024), int64_t(1), int64_t(S::kBlocks));
 }
 
 }  // namespace

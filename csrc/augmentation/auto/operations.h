@@ -79,12 +79,12 @@ struct ApplyOperationsList {
   int tiles_per_block;  // on CUDA
 };
 
-// A sample of a list, as a batch of one.
+using geometry::sample_at;
+
 template <class T>
-KV_HD ApplyOperations<T> sample_at(ApplyOperationsList<T> const& p, int b) {
+KV_HD void set_sample(ApplyOperations<T>& one, ApplyOperationsList<T> const& p, int b) {
   ListedImage const& image = p.list.images[b];
   geometry::Size const size{image.height, image.width};
-  ApplyOperations<T> one = p.all;
   geometry::select_sample(one.warp, b, size, size);
   one.warp.x = images_of<T>(image, p.all.channels());
   one.warp.y = images_of<T>(p.list.results[b], p.all.channels(), p.list.interleaved);
@@ -92,7 +92,6 @@ KV_HD ApplyOperations<T> sample_at(ApplyOperationsList<T> const& p, int b) {
   one.value += b * one.value_stride;
   one.matrices += 9 * b;
   one.measured += int64_t(b) * p.all.channels() * kMeasured;
-  return one;
 }
 
 // The sums of a plane that its gradient needs: of contrast that of the mean's gradient, of auto_contrast the RangeSums.

@@ -12,6 +12,7 @@ template <class S, class Grid = TileGrid>
 struct ListBlock {
   S sample;
   Grid tiles;
+  static_assert(__is_trivially_copyable(S) && sizeof(S) % 4 == 0);
 
   // By all threads, which then see it, in shared memory: the sample of the block's index, whose tiles are those of an
   // image of `size(sample)`.
@@ -26,15 +27,19 @@ struct ListBlock {
   // Whose tiles are `grid(sample)`.
   template <class List, class GridOf>
   static __device__ __forceinline__ ListBlock const& make(void* memory, List const& p, GridOf grid) {
+    // What samples share is hundreds of bytes: one thread would copy them for longer than a block computes a tile.
+    auto& block = *static_cast<ListBlock*>(memory);
+    for (unsigned i = threadIdx.x; i < sizeof(S) / 4; i += blockDim.x)
+      reinterpret_cast<uint32_t*>(&block.sample)[i] = reinterpret_cast<uint32_t const*>(&p.all)[i];
+    int const b = threadIdx.x == 0 ? p.list.sample_of(int(blockIdx.x)) : 0;
+    __syncthreads();
     if (threadIdx.x == 0) {
-      int const b = p.list.sample_of(int(blockIdx.x));
-      S const sample = sample_at(p, b);
-      Grid tiles = grid(sample);
-      tiles.first_block = unsigned(p.list.first[b]);
-      new (memory) ListBlock{sample, tiles};
+      set_sample(block.sample, p, b);
+      new (&block.tiles) Grid(grid(block.sample));
+      block.tiles.first_block = unsigned(p.list.first[b]);
     }
     __syncthreads();
-    return *static_cast<ListBlock const*>(memory);
+    return block;
   }
 };
 

@@ -66,20 +66,17 @@ KV_HD void select_mapped(S& p, int b, uint32_t map, MappedChannels const& channe
 }
 
 template <class T>
-KV_HD Sample<T> sample_at(RemapList<T> const& p, int b) {
+KV_HD void set_sample(Sample<T>& one, RemapList<T> const& p, int b) {
   ListedImage const& image = p.list.images[b];
   ListedResult const result{p.list.results[b], image.height, image.width};
-  Sample<T> one = p.all;
   select_mapped(one, b, p.list.maps[b], p.channels, {image.height, image.width});
   one.x = p.channels.of(images_of<T>(image, p.channels.count));
   one.y = p.channels.of(images_of<T>(result, p.channels.count, p.list.interleaved));
-  return one;
 }
 
 template <class T>
-KV_HD SampleImageBackward<T> sample_at(RemapListBackward<T> const& p, int b) {
+KV_HD void set_sample(SampleImageBackward<T>& one, RemapListBackward<T> const& p, int b) {
   ListedImage const& grad = p.list.images[b];
-  SampleImageBackward<T> one = p.all;
   select_mapped(one, b, p.list.maps[b], p.channels, {grad.height, grad.width});
   one.grad = p.channels.of(images_of<T>(grad, p.channels.count));
   auto const sums = p.channels.of(
@@ -95,7 +92,6 @@ KV_HD SampleImageBackward<T> sample_at(RemapListBackward<T> const& p, int b) {
                 sums.height,
                 sums.width,
                 sums.channels};
-  return one;
 }
 
 // On the CPU an item is some rows of a result, or backward a plane; on CUDA a block.

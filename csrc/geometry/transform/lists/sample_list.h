@@ -36,27 +36,32 @@ KV_HD void select_sample(S& p, int b, Size source, Size output) {
   p.images = 1;
 }
 
-template <class T>
-KV_HD Sample<T> sample_at(SampleList<T> const& p, int b) {
-  ListedImage const& image = p.list.images[b];
-  ListedResult const& result = p.list.results[b];
-  Sample<T> one = p.all;
-  select_sample(one, b, {image.height, image.width}, {result.height, result.width});
-  one.x = images_of<T>(image, p.all.x.channels);
-  one.y = images_of<T>(result, p.all.x.channels, p.list.interleaved);
+// A sample of a list, as a batch of one.
+template <class List>
+KV_HD auto sample_at(List const& p, int b) -> decltype(p.all) {
+  auto one = p.all;
+  set_sample(one, p, b);
   return one;
 }
 
+// Of what is `p.all` yet.
 template <class T>
-KV_HD SampleImageBackward<T> sample_at(SampleListBackward<T> const& p, int b) {
+KV_HD void set_sample(Sample<T>& one, SampleList<T> const& p, int b) {
+  ListedImage const& image = p.list.images[b];
+  ListedResult const& result = p.list.results[b];
+  select_sample(one, b, {image.height, image.width}, {result.height, result.width});
+  one.x = images_of<T>(image, p.all.x.channels);
+  one.y = images_of<T>(result, p.all.x.channels, p.list.interleaved);
+}
+
+template <class T>
+KV_HD void set_sample(SampleImageBackward<T>& one, SampleListBackward<T> const& p, int b) {
   ListedImage const& grad = p.list.images[b];
   ListedResult const& image = p.list.results[b];
-  SampleImageBackward<T> one = p.all;
   select_sample(one, b, {image.height, image.width}, {grad.height, grad.width});
   one.grad = images_of<T>(grad, p.all.grad.channels);
   one.grad_x = images_of<T>(image, p.all.grad.channels, false);
   one.sums = static_cast<Compute<T>*>(image.data);
-  return one;
 }
 
 // On the CPU an item is some rows of a result, or backward a plane; on CUDA a block.

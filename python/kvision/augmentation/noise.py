@@ -399,8 +399,8 @@ def _filled_reference(
 ) -> list[Tensor]:
     results = []
     for b, x in enumerate(images):
-        *arguments, chosen, plan = of_sample_of_list(b, parameters, keys, *rest)
-        hit, _ = _hits(x[None], *arguments, plan)
+        columns, own_keys, seeds, chosen, plan = of_sample_of_list(b, parameters, keys, *rest)
+        hit, _ = _hits(x[None], columns, own_keys, seeds, plan)
         own = saturate_to_byte(values) if x.dtype == torch.uint8 else values.to(x.dtype)
         filled = torch.where(hit, own[:, None, None], x)
         results.append(match_layout(torch.where(is_chosen(chosen, x[None]), filled, x), x[None])[0])

@@ -79,7 +79,7 @@ def _moved(
     if any(m._is_overridden("apply_transform_mask") for m in run.modules):
         return None
     for numbers, matrix, resampling, before, size in steps:
-        module = run.modules[numbers[0]] if numbers else None
+        module: Any = run.modules[numbers[0]] if numbers else None
         if matrix is None and module.moves_by_map:
             masks = module._displace_mask_list(masks, owners, before, run.execution(numbers[0]), reading)
             continue

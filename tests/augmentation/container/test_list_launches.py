@@ -100,6 +100,29 @@ def test_calls_of_corruptions(name, dtype, backend):
     assert not grows(augment, pictures("cpu", SIZES, dtype))
 
 
+OPTIONS = {
+    "elastic by sides": lambda: A.RandomElasticTransform((13, 13), (4.0, 4.0), scale_window=True, p=1.0),
+    "wide elastic": lambda: A.RandomElasticTransform((71, 71), (4.0, 4.0), p=1.0),
+    "pixels of colors": lambda: A.PixelDropout(0.3, drop_value=(0.1, 0.2, 0.3), p=1.0),
+    "pixels by channel": lambda: A.PixelDropout(0.3, True, 0.5, p=1.0),
+}
+# Those that docs/inputs.md names: image by image.
+OPTIONS_BY_SIZE = {
+    "expanded": lambda: A.RandomRotation(20.0, expand=True, p=1.0),
+    "slow": lambda: A.RandomClahe(grid_size=(2, 2), slow_and_differentiable=True, p=1.0),
+    "learned": lambda: A.RandomElasticTransform((5, 5), torch.tensor([[2.0, 2.0]]), p=1.0),
+}
+
+
+@DTYPES
+@pytest.mark.parametrize("name", [*OPTIONS, *OPTIONS_BY_SIZE])
+def test_calls_with_options(name, dtype, backend):
+    if backend == "reference":
+        pytest.skip("this test is about the kernels")
+    augment = {**OPTIONS, **OPTIONS_BY_SIZE}[name]()
+    assert grows(augment, pictures("cpu", SIZES, dtype)) == (name in OPTIONS_BY_SIZE)
+
+
 POLICIES = {
     "AutoAugment": A.auto.AutoAugment,
     "RandAugment": lambda: A.auto.RandAugment(2, 9),

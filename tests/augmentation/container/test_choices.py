@@ -197,6 +197,19 @@ def test_objects_that_are_chosen_are_dropped_for_certain(device: torch.device) -
     assert not dropped.any() and not theirs.any()
 
 
+def test_boxes_are_not_cut_off_at_the_size_that_other_samples_have(device: torch.device) -> None:
+    """Some samples are resized first, others at the end."""
+    x, boxes = images(device), torch.tensor([[[3.0, 4.0, 18.0, 14.0]]], device=device).repeat(8, 1, 1)
+    order = A.RandomOrder(A.Resize((32, 40)), A.RandomInvert(p=1.0), A.RandomPosterize(p=1.0))
+    moved = [
+        A.AugmentationSequential(order, data_keys=["image", "bbox_xyxy"], clip_boxes=clips)(
+            x, boxes, seed=torch.arange(8, device=device)
+        )[1]
+        for clips in ("each", False)
+    ]
+    torch.testing.assert_close(*moved)
+
+
 OF_ONE_TYPE: dict[str, Callable[..., Any]] = {
     "OneOf": lambda *children: A.OneOf(*children),
     "SomeOf": lambda *children: A.SomeOf(*children, n=(0, 2)),

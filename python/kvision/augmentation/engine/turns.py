@@ -109,12 +109,12 @@ def execute_turns(x: Tensor, turns: Sequence[Turn], context: CallContext) -> tup
             own = context._replace(output=SAME, labels=labels, seed=seed_of(context.seed, samples, batch))
             children = [replace(child, samples=samples, batch=batch) for child in turn.children]
             source = rows.take(samples)
+            size = rows.size_of(0) if len(rows.by_size(range(batch))) == 1 else None
             if turn.parts is None:
                 y, done = execute(source, children, own, turn.position)
             else:
                 y, done, children = _execute_parts(source, turn, own, children)
             rows.put(samples, y)
-            size = tuple(x.shape[2:]) if source.shape[2:] == x.shape[2:] else None
             stages += done if len(samples) == batch else [SomeSamples(done, samples, batch, size)]
             executed += children
     sizes = [rows.size_of(group[0]) for group in rows.by_size(range(batch))]

@@ -237,12 +237,17 @@ class MaskDropout(DropoutBase, keeps_contract=True):
         if execution.found is not None:
             dropped: Tensor = execution.found["dropped"]
             return dropped.view(torch.uint8)
-        given, (_, _, height, width) = (execution.params or {})["dropped"], largest_shape(images)
-        each = [x[0] for x in given] if isinstance(given, list) else list(given)
-        marks = _padded(each, height, width, each[0].device)[0] != 0
+        given, device, (_, _, height, width) = (
+            (execution.params or {})["dropped"],
+            images[0].device,
+            largest_shape(images),
+        )
+        pixels = torch.cat([x.flatten() for x in given]).to(device)  # in one copy
+        each = [own.view(1, *x.shape[-2:]) for own, x in zip(pixels.split([x.numel() for x in given]), given)]
+        marks = _padded(each, height, width, device)[0] != 0
         if execution.chosen is not None:
-            marks = marks & execution.chosen.to(marks.device)[:, None, None, None]
-        return marks.to(images[0].device).view(torch.uint8)
+            marks = marks & execution.chosen.to(device)[:, None, None, None]
+        return marks.view(torch.uint8)
 
     def _operates_on(self, dtype: torch.dtype) -> bool:
         return not self._is_customized() and not (isinstance(self.fill, str) and dtype == torch.float64)

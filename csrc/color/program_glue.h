@@ -149,6 +149,9 @@ struct ProgramArguments {
       for (int i = 0; i < parameters_of(step) && !plan.columns.empty(); ++i, ++at) {
         KV_CHECK(plan.columns[at] < columns, op, ": there are no parameters for the columns that are asked for");
         KV_CHECK(plan.columns[at] < 0 || takes_tensors(step), op, ": step ", int(step), " takes numbers only");
+        // Gradients follow from the number.
+        bool const clips = (kClippedAffineSteps >> int(step) & 1) && i + 1 == parameters_of(step);
+        KV_CHECK(plan.columns[at] < 0 || !clips, op, ": whether a step clips is a number, no column");
       }
   }
 

@@ -102,3 +102,16 @@ def test_schema_of_programs_never_changes() -> None:
         schema
         == f"kvision::color_program(Tensor input, {tensors}, Tensor? order, int[] plan, float[] numbers) -> Tensor"
     )
+
+
+@pytest.mark.native
+@pytest.mark.skipif("cpu" in _backend.unserved, reason="the operators are declared by libkvision.so")
+def test_whether_a_step_clips_is_no_column() -> None:
+    """Gradients follow from the number, of batches and of lists."""
+    image, columns = torch.rand(1, 3, 2, 2), torch.ones(1, 1, 1)
+    plan, numbers = [-1, -1, 1, STEPS["scale_shift"].number, -1, -1, 0], [2.0, 0.0, 0.0]
+    with pytest.raises(RuntimeError, match="whether a step clips is a number"):
+        torch.ops.kvision.color_program(image, columns, *(None,) * program.MAX_TENSORS, plan, numbers)
+    plan, whole = [*plan[:4], -1, 0, -1], torch.zeros(1, 1, 1)
+    y = torch.ops.kvision.color_program(image, whole, *(None,) * program.MAX_TENSORS, plan, numbers)
+    assert torch.equal(y, 2 * image)

@@ -22,6 +22,7 @@ x, y = np.fft.fftfreq(256)[None], np.fft.fftfreq(256)[:, None]
 def moved(image, right, down):
     return np.real(np.fft.ifft2(np.fft.fft2(image) * np.exp(-2j * np.pi * (x * right + y * down))))
 
+
 for blur in (0, 1):
     image = np.random.default_rng(0).random((256, 256))
     if blur:

@@ -14,7 +14,12 @@ import cv2
 import numpy as np
 
 print("opencv", cv2.__version__)
-wrong = {31: {60000: 27232}, 45: {30000: 13643, 60000: 10902}, 61: {30000: 13639, 60000: 10895}, 101: {16000: 3745, 30000: 1391, 60000: 2783}}
+wrong = {
+    31: {60000: 27232},
+    45: {30000: 13643, 60000: 10902},
+    61: {30000: 13639, 60000: 10895},
+    101: {16000: 3745, 30000: 1391, 60000: 2783},
+}
 for size in (3, 5, 7, 9, 15, 31, 45, 61, 101):
     for value in (1000, 4000, 16000, 30000, 60000):
         flat = np.full((200, 200), value, np.uint16)
@@ -22,11 +27,17 @@ for size in (3, 5, 7, 9, 15, 31, 45, 61, 101):
         assert abs(cv2.stackBlur(flat.astype(np.float32), (size, size)) / value - 1).max() < 1e-3
         off = (abs(blurred / value - 1) > 0.005).mean()
         if off:
-            print(f"{size} pixels wide, flat {value} becomes {blurred.min()} to {blurred.max()}, middle {blurred[100, 100]}, {off:.0%} of it wrong")
+            print(
+                f"{size} pixels wide, flat {value} becomes {blurred.min()} to {blurred.max()}, middle {blurred[100, 100]}, {off:.0%} of it wrong"
+            )
         if size < 10:
             assert (off > 0) == (size > 3 and value == 60000) and (not off or 38000 < blurred.min() < 43000)
         else:
-            assert blurred.min() > value * 0.999 if value not in wrong.get(size, {}) else blurred[100, 100] == blurred.min() == wrong[size][value]
+            assert (
+                blurred.min() > value * 0.999
+                if value not in wrong.get(size, {})
+                else blurred[100, 100] == blurred.min() == wrong[size][value]
+            )
 noise = np.random.default_rng(0).integers(0, 256, (400, 400), dtype=np.uint8)
 darker = {}
 for size, expected in ((3, 0.75), (5, 0.5), (7, 0.94), (9, 0.75), (11, 0.26), (15, 0.49), (31, 0.5)):

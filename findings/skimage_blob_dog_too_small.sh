@@ -30,5 +30,10 @@ for name, values in found.items():
     ratios = np.array(values) / sigmas
     print(f"{name}: found / true {ratios.min():.2f} to {ratios.max():.2f}, mean {ratios.mean():.3f}", np.round(values, 2).tolist())
     low, mean, root = {"blob_log": (0.99, 1, 1), "blob_dog": (0.66, 0.83, 1.6**0.5)}.get(name, (0.91, 0.96, 1.1**0.5))
-    assert low < ratios.min() < low + 0.02 and abs(ratios.mean() - mean) < 0.01 and ratios.max() < 1.01 and abs(ratios.mean() * root - 1) < 0.05
+    assert (
+        low < ratios.min() < low + 0.02
+        and abs(ratios.mean() - mean) < 0.01
+        and ratios.max() < 1.01
+        and abs(ratios.mean() * root - 1) < 0.05
+    )
 PROGRAM

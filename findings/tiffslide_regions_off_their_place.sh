@@ -48,7 +48,9 @@ for level, expected in ((0, 0), (1, -1.5), (2, -7.5)):
     places = [tuple(random.integers(200, 1200, 2).tolist()) for _ in range(60)]
     for name, slide in slides.items():
         offsets = np.array([offset(slide, *place, level) for place in places])
-        print(f"level {level}, {name}: content is read {offsets.mean(0).round(2)} pixels off on average, from {offsets.min():.1f} to {offsets.max():.1f}")
+        print(
+            f"level {level}, {name}: content is read {offsets.mean(0).round(2)} pixels off on average, from {offsets.min():.1f} to {offsets.max():.1f}"
+        )
         if name == "openslide":
             assert abs(offsets).max() < 0.25
         else:

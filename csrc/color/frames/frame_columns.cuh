@@ -32,18 +32,16 @@ struct ColumnPlan {
   int bytes() const { return int(sizeof(BandStep)) * steps; }
 };
 
-// Pairs of 16-bit weights. Each moves the others up, as registers have no index: the code of all, unrolled, would be
-// larger than that of all rows, and each block runs it once.
+// Pairs of 16-bit weights. A loop that moves them up through registers is less code, three quarters of the kernel, but
+// takes 1.8 times as long from whole frames to 224 x 224, and spills two to three times as much.
 template <int N, class Weight>
 __device__ __forceinline__ float set_pairs(uint32_t (&pairs)[N], Weight weight) {
   uint32_t sum = 0;
-#pragma unroll 1
+#pragma unroll
   for (int k = 0; k < N; ++k) {
     uint32_t const low = __float2uint_rn(weight(2 * k) * kWeightSum),
                    high = __float2uint_rn(weight(2 * k + 1) * kWeightSum);
-#pragma unroll
-    for (int i = 0; i + 1 < N; ++i) pairs[i] = pairs[i + 1];
-    pairs[N - 1] = low | high << 16;
+    pairs[k] = low | high << 16;
     sum += low + high;
   }
   return float(sum);
@@ -245,9 +243,10 @@ bool plan_columns(PlanesToRgb<T> const& p, CodeRowsPlan const& codes, ColumnPlan
   int const window = across.largest_window(p.x.size);
   bool const has_words = codes.layout != CodeLayout::packed && codes.luma_vectors && codes.chroma_vectors &&
                          p.x.size % kOwn == 0 && p.x.size >= 4 * kMostWords + kOwn;
-  // Frames that shrink less have more columns for their codes: bands take 0.8 of the time at 2.25. A window may begin
-  // with the last byte of a word, and its chroma one sample before and end one behind it.
-  if (!has_words || across.scale < 3 || window + 3 > 4 * kMostWords) return false;
+  // Frames that shrink less have more columns for their codes: bands take 0.8 of the time at 2.25 antialiased, 0.9 at 3
+  // not antialiased. A window may begin with the last byte of a word, and its chroma one sample before and end one
+  // behind it.
+  if (!has_words || across.scale < (p.antialias ? 3 : 4) || window + 3 > 4 * kMostWords) return false;
   plan.columns = divided(width, 32);
   int const warps_across = int(ceil_div(width, plan.columns));
   plan.warps = divided(warps_across, kColumnWarps);

@@ -45,19 +45,21 @@ struct StripRows {
   static constexpr int P = N * kPixelsOfValue<T>, R = K / 2;
   using V = Value<T>;
   using Fetched = typename Strip<R, Aligned, P>::template FetchedRow<T>;
-  Planes<T const> const& x;
   Strip<R, Aligned, P> strip;
-  T const* in;
+  char const* in;
+  int64_t in_stride;  // bytes: nvcc multiplies once for a row's loads, by elements once for each of them
   T* out;
   int64_t out_stride;
 
   __device__ __forceinline__ StripRows(MedianBlur<T> const& p, int64_t plane, int column, int y0)
-      : x(p.x),
-        strip(column, int(p.x.width), p.border),
-        in(p.x.plane(plane)),
+      : strip(column, int(p.x.width), p.border),
+        in(reinterpret_cast<char const*>(p.x.plane(plane))),
+        in_stride(p.x.row_stride * int64_t(sizeof(T))),
         out(p.y.row(plane, y0)),
         out_stride(p.y.row_stride) {}
-  __device__ __forceinline__ Fetched fetch(int y) const { return strip.fetch(in + y * x.row_stride); }
+  __device__ __forceinline__ Fetched fetch(int y) const {
+    return strip.fetch(reinterpret_cast<T const*>(in + y * in_stride));
+  }
   __device__ __forceinline__ void spread(Fetched const& fetched, V (&values)[N + 2 * R]) const {
     Compute<T> row[P + 2 * R];
     strip.spread(fetched, row);

@@ -21,11 +21,10 @@ namespace {
 constexpr int kRows = 32;            // of a tile, at most
 constexpr int kPrologue = 2;         // tiles that would take as long as what is done once a strip
 constexpr int64_t kShared = 113000;  // bytes of a block, at most: two fit a multiprocessor
-// Columns of a tile, at most: 8 warps with that of the weights of rows fit 3 blocks' registers. Weights in shared
-// memory take less of these.
-constexpr int columns_of_tiles(int steps) { return steps == 2 || steps == 3 ? 112 : 128; }
-// At most: 32 for 16 columns, and for the weights of rows.
-constexpr int threads_of(int steps) { return 2 * columns_of_tiles(steps) + 32; }
+// Columns of a tile, at most: 8 warps with that of the weights of rows have 128 registers a thread, in two blocks.
+// Where weights of columns are in shared memory and more patches fit the wide ones, these are worth it with 96.
+constexpr int kColumns = 112, kWideColumns = 128;
+constexpr int threads_of(int columns) { return 2 * columns + 32; }
 
 // What all blocks of a launch share. Parts of shared memory begin at bytes.
 struct ByteTiles {
@@ -87,8 +86,8 @@ constexpr bool stages(int steps, bool planes) { return planes && (steps == 2 || 
 constexpr int blocks_at_once(int steps, bool planes) { return steps == 2 && planes ? 3 : 2; }
 
 // `Chunks`: of a tile, or 0 for any number.
-template <class U, int Steps, int Chunks, bool Planes>
-__global__ void __launch_bounds__(threads_of(Steps), blocks_at_once(Steps, Planes))
+template <class U, int Steps, int Chunks, bool Planes, int Columns = kColumns>
+__global__ void __launch_bounds__(threads_of(Columns), blocks_at_once(Steps, Planes))
     make_patches_of_bytes(__grid_constant__ VisionPatches<uint8_t> const p, __grid_constant__ Table const table,
                           __grid_constant__ ByteTiles const tiles) {
   extern __shared__ __align__(16) unsigned char memory[];
@@ -405,7 +404,7 @@ ByteTiles tiles_of(VisionPatches<uint8_t> const& p, PatchImage const* images, in
     return t;
   };
   auto const whole = [&](int64_t n) { return max(n >= p.merge ? n / p.merge * p.merge : n, int64_t(1)); };
-  int64_t across = whole(min(int64_t(columns_of_tiles(int(min(steps, int64_t(4)))) / size), across_all));
+  int64_t across = whole(min(int64_t((steps > 3 ? kWideColumns : kColumns) / size), across_all));
   int64_t down = whole(min(int64_t(kRows / size), down_all));
   ByteTiles tiles = with(across, down);
   while (tiles.bytes > kShared && (across > 1 || down > 1)) {
@@ -454,10 +453,12 @@ int launch(VisionPatches<uint8_t> const& p, CUstream_st* stream) {
     if (blocks == 0) continue;
     int const threads = int(ceil_div(tiles.across * p.patch, 16) + 1) * 32;
     auto const kernel_of = [&](auto of_planes) {
-      return tiles.steps == 2   ? tiles.chunks == 1 ? make_patches_of_bytes<U, 2, 1, of_planes()>
-                                                    : make_patches_of_bytes<U, 2, 0, of_planes()>
-               : tiles.steps == 3 ? make_patches_of_bytes<U, 3, 0, of_planes()>
-                                : make_patches_of_bytes<U, 0, 0, of_planes()>;
+      constexpr bool kPlanes = of_planes();
+      if (tiles.steps == 2 && tiles.chunks == 1) return make_patches_of_bytes<U, 2, 1, kPlanes>;
+      if (tiles.steps == 2) return make_patches_of_bytes<U, 2, 0, kPlanes>;
+      if (tiles.steps == 3) return make_patches_of_bytes<U, 3, 0, kPlanes>;
+      if (threads <= threads_of(kColumns)) return make_patches_of_bytes<U, 0, 0, kPlanes>;
+      return make_patches_of_bytes<U, 0, 0, kPlanes, kWideColumns>;
     };
     auto* const kernel = planes ? kernel_of(std::true_type{}) : kernel_of(std::false_type{});
     if (int const error = cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, tiles.bytes))

@@ -233,10 +233,13 @@ __global__ void __launch_bounds__(threads_of(Columns), blocks_at_once(Steps, Pla
 #pragma unroll 1
       do {
         uint8_t const* const next_plane = c + 1 < channels ? plane + image.channel_stride : plane;
-        float rows[2][2][4]{};  // by 16 rows and 8 columns
+        float rows[2][2][4];  // by 16 rows and 8 columns
+#pragma unroll
+        for (auto& sums : rows) begin_sums(sums);
 #pragma unroll 1
         for (int k = 0; k < chunks; ++k) {
-          float sums[4][4]{};
+          float sums[4][4];
+          begin_sums(sums);
           if constexpr (Steps > 0) {
             // Of the column from which on a row is loaded, in the first row of the lane.
             unsigned address = unsigned(reinterpret_cast<uintptr_t>(plane)) + unsigned(top) * source.row_stride;

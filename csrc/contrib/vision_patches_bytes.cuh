@@ -130,6 +130,15 @@ __device__ __forceinline__ uint32_t opaque(uint32_t x) { return __shfl_xor_sync(
 
 // --- levels ----------------------------------------------------------------------------------------------------------
 
+// Sums begin with 1 / 1024 of a level: where weights are exact, as those of sizes by 2, ties are frequent, and go up as
+// on the CPU.
+template <int N>
+__device__ __forceinline__ void begin_sums(float (&sums)[N][4]) {
+#pragma unroll
+  for (auto& of_product : sums)
+#pragma unroll
+    for (float& sum : of_product) sum = 0x1p-34f;
+}
 // A pair of levels, as words and as floats in 2^-24, of sums in that unit.
 __device__ __forceinline__ uint32_t levels_of(float a, float b) {
   return __vminu2(positive_half_pair(a, b), 0x00ff00ffu);

@@ -93,9 +93,21 @@ def test_kernel_is_its_definition(channels, dtype, size, device, monkeypatch):
             assert_close(actual.patches, expected.patches, 1e-5, 1e-5)
         else:
             apart = (actual.patches - expected.patches).abs() * 255
-            # Integer weights round halves up, floats to even: sizes of small ratios have many.
+            # Patches round halves up, the operators to even: sizes of small ratios have many.
             assert apart.max() < 2.01 and (apart > 0.01).float().mean() < 0.12
             assert (apart > 1.01).float().mean() < 2e-3
+
+
+def test_halves_round_up(device):
+    x = random_image(3, 408, 32)
+    doubled = x.int()
+    for dim in (2, 1):
+        at = torch.arange(2 * doubled.shape[dim])
+        far = (at // 2 + at % 2 * 2 - 1).clamp(0, doubled.shape[dim] - 1)
+        doubled = (3 * doubled.index_select(dim, at // 2) + doubled.index_select(dim, far) + 2) // 4
+    actual, expected = (vision_patches(y.to(device), "siglip2") for y in (x, doubled.byte()))
+    assert torch.equal(actual.grids, expected.grids)
+    assert torch.equal(actual.patches, expected.patches)
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)

@@ -66,6 +66,8 @@ NOISES = {
     "normal": lambda: (A.RandomAffine(20.0), A.RandomGaussianNoise(std=0.2, p=0.7), A.RandomHorizontalFlip()),
     "salt": lambda: (A.RandomSaltAndPepperNoise(0.2, p=0.7),),
     "factors": lambda: (A.SpeckleNoise(p=0.7), A.MultiplicativeNoise(per_channel=True, elementwise=True, p=1.0)),
+    "factors of images": lambda: (A.MultiplicativeNoise((0.5, 1.5), p=0.7), A.RandomHorizontalFlip()),
+    "factors of channels": lambda: (A.MultiplicativeNoise((0.5, 1.5), per_channel=True, p=0.7),),
     "dropped": lambda: (A.PixelDropout(0.2, p=0.7), A.PixelDropout(0.2, True, "random", p=0.7)),
     "colored": lambda: (A.PixelDropout(0.2, drop_value=(0.2, 0.3, 0.9), p=0.7), A.PixelDropout(0.2, True, 0.5, p=0.7)),
     "erased": lambda: (
@@ -221,6 +223,8 @@ def test_results_in_another_type(device):
         "everything",
         "erasing",
         "factors",
+        "factors of images",
+        "factors of channels",
         "antialiased",
         "rain",
         "mud",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, ClassVar, Literal, TypeAlias
+from typing import Any, ClassVar, Literal, NamedTuple, TypeAlias
 
 import torch
 from torch import Tensor
@@ -40,6 +40,42 @@ class _Channels(IntensityAugmentationBase2D, keeps_contract=True):
         return not self._is_customized()
 
 
+class Scaling(NamedTuple):
+    """Images times factors and plus offsets, by a color program: (B, 1) for all channels, or (B, 3) for three."""
+
+    factors: Tensor
+    offsets: Tensor
+    clips: bool  # the results to [0, 1]
+
+    def __call__(self, images: Tensor) -> Tensor:
+        program, columns = self._program(None)
+        return program.run(images, columns)[0]
+
+    def on_list(self, images: Sequence[Tensor], chosen: Tensor | None) -> list[Tensor]:
+        """The results of images (C, H, W) of different sizes. Those that are not `chosen`, (B,), stay as they are; None for all."""
+        program, columns = self._program(chosen)
+        columns_of_all, fill, _, *rest = program.arguments(like_batch(images), columns)
+        return list(warp_and_color_to_list(images, columns_of_all, fill, False, [], *rest)[: len(images)])
+
+    def _program(self, chosen: Tensor | None) -> tuple[Pass, Tensor]:
+        columns, count = [self.factors, self.offsets], 2 * self.factors.shape[1]
+        if chosen is not None:  # samples that are not have an order without steps
+            columns.append(chosen[:, None].to(self.factors) - 1)
+        name = "scale_shift" if count == 2 else "scale_shift_rgb"
+        step = ColorStep(name, *map(Column, range(count)), float(self.clips))
+        part = ColorPart([step], None if chosen is None else [count])
+        return make_pass(None, parts=[part]), torch.cat(columns, 1)
+
+
+def apply_to_each(
+    module: IntensityAugmentationBase2D, images: Sequence[Tensor], params: Params, chosen: Tensor | None
+) -> list[Tensor]:
+    """The results of the images of a list, by themselves, with the parameters of all."""
+    rows = [{name: x[b : b + 1] for name, x in params.items()} for b in range(len(images))]
+    each = [module.apply_transform(x[None], own, module.flags)[0] for x, own in zip(images, rows)]
+    return each if chosen is None else [torch.where(c, y, x) for c, y, x in zip(chosen, each, images)]
+
+
 class _ScaledChannels(_Channels, keeps_contract=True):
     """Base of what scales each channel of an image and adds to it: three by a color program, others in a list image by image."""
 
@@ -49,35 +85,25 @@ class _ScaledChannels(_Channels, keeps_contract=True):
         like, chosen = like_batch(images), execution.chosen
         params = self._params_on_device(like, execution, for_users=False)
         if like.shape[1] != 3:
-            rows = [{name: x[b : b + 1] for name, x in params.items()} for b in range(len(images))]
-            each = [self.apply_transform(x[None], own, self.flags)[0] for x, own in zip(images, rows)]
-            return each if chosen is None else [torch.where(c, y, x) for c, y, x in zip(chosen, each, images)]
-        program, columns = self._program(like, params, chosen)
-        columns_of_all, fill, _, *rest = program.arguments(like, columns)
-        return list(warp_and_color_to_list(images, columns_of_all, fill, False, [], *rest)[: len(images)])
+            return apply_to_each(self, images, params, chosen)
+        return self._scaling(like, params).on_list(images, chosen)
 
     def _factors_and_offsets(self, like: Tensor, params: Params) -> tuple[Tensor, Tensor]:
         """Numbers (B, C) of the channels of images like a batch."""
         raise NotImplementedError(f"{type(self).__name__}._factors_and_offsets")
+
+    def _scaling(self, like: Tensor, params: Params) -> Scaling:
+        return Scaling(*self._factors_and_offsets(like, params), self.clips)
 
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
         if input.dim() != 4 or input.shape[1] != 3:
             return self._by_torch(input, params)
-        program, columns = self._program(input, params, None)
-        return program.run(input, columns)[0]
+        return self._scaling(input, params)(input)
 
     def _by_torch(self, input: Tensor, params: Params) -> Tensor:
         raise NotImplementedError(f"{type(self).__name__}._by_torch")
-
-    def _program(self, like: Tensor, params: Params, chosen: Tensor | None) -> tuple[Pass, Tensor]:
-        columns = [*self._factors_and_offsets(like, params)]
-        if chosen is not None:  # samples that are not have an order without steps
-            columns.append(chosen[:, None].to(columns[0]) - 1)
-        step = ColorStep("scale_shift_rgb", *map(Column, range(6)), float(self.clips))
-        part = ColorPart([step], None if chosen is None else [6])
-        return make_pass(None, parts=[part]), torch.cat(columns, 1)
 
 
 class RandomChannelShuffle(_Channels, keeps_contract=True):

@@ -7,12 +7,15 @@ import torch
 
 from augmentation.test_lists import SMALL, assert_as_alone, pictures
 from kvision import augmentation as A
+from kvision.augmentation import channels as programs
 
 CHANGES = {
     "dropped": lambda p: A.RandomChannelDropout(p=p),
     "filled": lambda p: A.RandomChannelDropout(2, 0.3, p=p),
     "light": lambda p: A.RandomPlanckianJitter("CIED", p=p),
     "order": lambda p: A.RandomChannelShuffle(p=p),
+    "factors": lambda p: A.MultiplicativeNoise((0.5, 1.5), per_channel=True, p=p),
+    "one factor": lambda p: A.MultiplicativeNoise((0.5, 1.5), p=p),
 }
 
 
@@ -26,8 +29,19 @@ def test_channels_of_a_list(name, dtype, p, device):
 
 
 def test_other_numbers_of_channels(device):
-    for name in ("dropped", "order"):
+    for name in ("dropped", "order", "factors", "one factor"):
         assert_as_alone(CHANGES[name](0.6), [torch.rand(4, *size, device=device) for size in SMALL])
+
+
+@pytest.mark.parametrize("name", ["factors", "one factor"])
+def test_factors_are_one_program_drawn_and_replayed(name, device, monkeypatch):
+    operator, calls = programs.warp_and_color_to_list, []
+    monkeypatch.setattr(programs, "warp_and_color_to_list", lambda *a: (calls.append(a), operator(*a))[1])
+    augment, images = CHANGES[name](0.6), pictures(device, SMALL)
+    results = augment(images, seed=3)
+    assert len(calls) == 1
+    assert all(torch.equal(a, b) for a, b in zip(augment(images, params=augment._params), results))
+    assert len(calls) == 2
 
 
 def test_all_orders_of_channels(device):

@@ -37,6 +37,8 @@ PROGRAMS = {
     "frost": lambda: A.RandomFrost(torch.rand(2, 3, 70, 140), p=0.8),
     "plasma": lambda: A.RandomPlasmaShadow(p=1.0),
     "hue and light": lambda: A.ISONoise(p=0.8),
+    "factors of images": lambda: A.MultiplicativeNoise((0.5, 1.5), p=0.8),
+    "factors of channels": lambda: A.MultiplicativeNoise((0.5, 1.5), per_channel=True, p=0.8),
     "factors of noise": lambda: A.MultiplicativeNoise((0.5, 1.5), True, True, p=0.8),
     "speckle": lambda: A.SpeckleNoise((0.3, 0.5), p=1.0),
     "clamped noise": lambda: A.CommonCorruption("gaussian_noise", 5),

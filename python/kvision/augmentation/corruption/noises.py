@@ -14,8 +14,9 @@ from kvision._clamp import clamp
 from kvision._dtype import compute_dtype
 from kvision._ops import Operator, match_layout, register, vjp
 from kvision.augmentation import ranges
+from kvision.augmentation.channels import Scaling, apply_to_each
 from kvision.augmentation.draws import unit
-from kvision.augmentation.engine import Params
+from kvision.augmentation.engine import Execution, Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
 from kvision.augmentation.keys import flatten_draws
 from kvision.augmentation.noise import (
@@ -33,7 +34,7 @@ from kvision.augmentation.random_generator.mapped import FactorsGenerator, Mappe
 from kvision.augmentation.ranges import Numbers
 from kvision.augmentation.samples import per_sample
 from kvision.color.hls import hls_to_rgb, rgb_to_hls
-from kvision.geometry.transform.lists.arguments import halves
+from kvision.geometry.transform.lists.arguments import halves, like_batch
 from kvision.geometry.transform.lists.kept_sizes import Operation, register_list, register_list_backward
 
 _GAMMA = 2.2  # of the encoding that shot noise undoes
@@ -306,6 +307,7 @@ class MultiplicativeNoise(IntensityAugmentationBase2D, keeps_contract=True):
         op = "MultiplicativeNoise"
         channels = None if _check.switch(op, "per_channel", per_channel) else 1
         self.fuses_noise = _check.switch(op, "elementwise", elementwise)
+        self.replays_lists = self.replays_pixels = not elementwise
         side = None if elementwise else 1
         between = ranges.parse(op, "multiplier", multiplier, bounds=(0.0, float("inf")))
         self._param_generator = FactorsGenerator(op, between, (channels, side, side))
@@ -313,10 +315,30 @@ class MultiplicativeNoise(IntensityAugmentationBase2D, keeps_contract=True):
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
-        return multiplied(self._param_generator, input, params)
+        scaling = None if self.fuses_noise else self._scaling(input, params)
+        return multiplied(self._param_generator, input, params) if scaling is None else scaling(input)
+
+    def _scaling(self, like: Tensor, params: Params) -> Scaling | None:
+        """The program for factors of images or of one or three channels; None for others."""
+        factors = params["factors"].to(like.device, compute_dtype(like))
+        if factors.shape[1] not in (1, 3) or factors.shape[2:] != (1, 1):
+            return None
+        factors = factors.flatten(1)
+        return Scaling(factors, torch.zeros_like(factors), True)
 
     def _operation(self, like: Tensor, params: Params) -> Operation:
         return multiplication(self._param_generator, like, params)
+
+    def _operates_on(self, dtype: torch.dtype) -> bool:
+        return super()._operates_on(dtype) if self.fuses_noise else not self._is_customized()
+
+    def _run_list(self, images: Sequence[Tensor], execution: Execution) -> list[Tensor]:
+        if self.fuses_noise:
+            return super()._run_list(images, execution)
+        like, chosen = like_batch(images), execution.chosen
+        params = self._params_on_device(like, execution, for_users=False)
+        scaling = self._scaling(like, params)
+        return apply_to_each(self, images, params, chosen) if scaling is None else scaling.on_list(images, chosen)
 
 
 class SpeckleNoise(IntensityAugmentationBase2D, keeps_contract=True):

@@ -66,7 +66,8 @@ __global__ void __launch_bounds__(256, kBlocks<T, Aligned>) sobel_strip(Sobel<T>
   }
 }
 
-// Special case, H200: six blocks 1.04 (375x500) to 1.09 (336x512) times as fast as five, but 0.97 (299x299) of any rows.
+// Special case, H200: six blocks 1.04 (375x500) to 1.09 (336x512) times as fast as five, but 0.97 (299x299) of any
+// rows.
 template <class T, int Bytes>
 __global__ void __launch_bounds__(kGroupThreads, Bytes > 0 ? 6 : 5)
     sobel_groups(__grid_constant__ Sobel<T> const p,

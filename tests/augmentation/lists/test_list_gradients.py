@@ -153,6 +153,18 @@ def test_gradients_of_factors_that_differ_by_the_number_of_the_image(device):
         assert_close(gradient, (y / x).detach())
 
 
+@pytest.mark.parametrize("options", [{}, {"per_channel": True}, {"elementwise": True}], ids=str)
+def test_learned_ranges_of_factors(options, device):
+    images, ends = pictures(device, SIZES), torch.tensor([0.5, 0.9], requires_grad=True)
+    augment, seeds = A.MultiplicativeNoise(ends, **options, p=0.8), seeds_of(images)
+    results = augment(images, seed=seeds)
+    (found,) = torch.autograd.grad(sum(y.sum() for y in results), ends)
+    alone = [augment(x[None], seed=seeds[b : b + 1])[0] for b, x in enumerate(images)]
+    assert all(torch.equal(a, b) for a, b in zip(results, alone))
+    (expected,) = torch.autograd.grad(sum(y.sum() for y in alone), ends)
+    assert_close(found, expected, 1e-3, 1e-4)
+
+
 @pytest.mark.derivatives
 @pytest.mark.parametrize(
     "name", ["channels", "one mean", "jitter", "sharpness", "medians", "ringing", "range", "means of channels", "fog"]

@@ -195,7 +195,9 @@ def _make_plan(
 def _draws_windows(sized: Sized) -> bool:
     """Whether nothing depends on the size of an image but windows that are drawn in it."""
     draws = zip(*map(sized.reading.draws, SIZES))
-    return not sized.count and all(a == b or (a.kind in SIZED and a.numbers[:-2] == b.numbers[:-2]) for a, b in draws)
+    return not sized.count and all(
+        a.numbers == b.numbers or (a.kind in SIZED and a.numbers[:-2] == b.numbers[:-2]) for a, b in draws
+    )
 
 
 def takes_list(step: Step, modules: Sequence[Any], dtype: torch.dtype) -> bool:

@@ -164,7 +164,9 @@ class Sized:
         self.may_be_too_small = len(probes) < len(_PROBES)  # images, which reading says
         draws = [own for _, own in probes]
         self.has_same_draws = all([_kind(a) for a in own] == [_kind(a) for a in draws[0]] for own in draws)
-        self.draws = [i for i, (first, *others) in enumerate(zip(*draws)) if any(a != first for a in others)]
+        # By their numbers: tensors of learned ranges are the same for all sizes.
+        numbers = [[a.numbers for a in own] for own in draws]
+        self.draws = [i for i, (first, *others) in enumerate(zip(*numbers)) if any(n != first for n in others)]
         chains = [reading.chains(size) for size, _ in probes]
         forms = [[[(t.kind, len(t.inputs)) for t in chain] for chain in of_size] for of_size in chains]
         self.has_same_forms = all(form == forms[0] for form in forms)

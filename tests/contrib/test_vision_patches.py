@@ -98,7 +98,9 @@ def test_kernel_is_its_definition(channels, dtype, size, device, monkeypatch):
             assert (apart > 1.01).float().mean() < 2e-3
 
 
-def test_halves_round_up(device):
+def test_halves_round_up(backend, device):
+    if backend == "reference":
+        pytest.skip("torch's sums of floats are not exact")
     x = random_image(3, 408, 32)
     doubled = x.int()
     for dim in (2, 1):

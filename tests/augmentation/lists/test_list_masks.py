@@ -62,7 +62,7 @@ def masks_of(images, dtype, number=1):
 @pytest.mark.parametrize("reading", READINGS)
 @pytest.mark.parametrize("dtype", TYPES, ids=str)
 @pytest.mark.parametrize("name", AUGMENTATIONS)
-def test_masks_follow_as_alone(name, dtype, reading, device):
+def test_masks_follow_as_alone(name, dtype, reading, backend, device):
     if dtype == torch.uint8 and "another" in name:
         pytest.skip("bytes have no such value")
     images, augmentations = pictures(device), AUGMENTATIONS[name]()
@@ -73,7 +73,10 @@ def test_masks_follow_as_alone(name, dtype, reading, device):
     assert all(map(torch.equal, masks, given))
     for b, (x, mask) in enumerate(zip(images, masks)):
         _, own = augment(x[None], mask[None], seed=seeds[b : b + 1])
-        assert moved[b].dtype == dtype and torch.equal(moved[b], own[0])
+        assert moved[b].dtype == dtype
+        # The reference blurs and multiplies by torch, whose sums depend on the number of images: ties fall otherwise.
+        is_rounded = backend == "reference" and name.startswith("map")
+        assert (moved[b] != own[0]).double().mean() <= (0.02 if is_rounded else 0)
 
 
 @pytest.mark.parametrize("dtype", [torch.uint8, torch.bool, torch.int64, torch.float32], ids=str)

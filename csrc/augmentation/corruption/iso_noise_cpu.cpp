@@ -83,6 +83,7 @@ KV_HD IsoSample<Compute<T>> iso_sample(IsoNoise<T> const& p, int64_t b) {
   Compute<T> const* const parameters = p.noise.parameters + b * p.noise.parameter_stride;
   return {parameters[0], parameters[1], sums[0], sums[1], double(p.noise.pixels)};
 }
+
 // Calls use(sample, where the pixel begins, its uniform and its normal number) for the chosen pixels of chunks
 // [begin, end), and keep(where a pixel begins) for the others.
 template <class T, class Use, class Keep>
@@ -155,21 +156,6 @@ void iso_noise_backward(IsoNoiseBackward<T> const& p, int64_t begin, int64_t end
       });
 }
 
-namespace {
-
-// Calls run(sample, first chunk, chunk behind the last) for the items [begin, end).
-template <class T, class Run>
-void for_each_sample(IsoNoiseBackwardList<T> const& p, int64_t begin, int64_t end, Run const& run) {
-  while (begin < end) {
-    int const b = p.sample_of(int(begin));
-    int64_t const first = p.first_of(b), last = min(end, int64_t(p.end_of(b)));
-    run(p.sample(b), begin - first, last - first);
-    begin = last;
-  }
-}
-
-}  // namespace
-
 template <class T>
 void sum_lightness_list(IsoNoiseList<T> const& p, int64_t begin, int64_t end) {
   geometry::KV_ISA::for_each_sample(p.noise.list, begin, end, [&](int b, int64_t first, int64_t last) {
@@ -185,15 +171,13 @@ void iso_noise_list(IsoNoiseList<T> const& p, int64_t begin, int64_t end) {
 
 template <class T>
 void sum_lightness_again(IsoNoiseBackwardList<T> const& p, int64_t begin, int64_t end) {
-  for_each_sample(p, begin, end, [&](IsoNoiseBackward<T> const& one, int64_t first, int64_t last) {
-    KV_ISA::sum_lightness<T>(one, first, last);
-  });
+  geometry::KV_ISA::for_each_sample(
+      p, begin, end, [&](int b, int64_t first, int64_t last) { KV_ISA::sum_lightness<T>(p.sample(b), first, last); });
 }
 template <class T>
 void iso_noise_list_backward(IsoNoiseBackwardList<T> const& p, int64_t begin, int64_t end) {
-  for_each_sample(p, begin, end, [&](IsoNoiseBackward<T> const& one, int64_t first, int64_t last) {
-    KV_ISA::iso_noise_backward(one, first, last);
-  });
+  geometry::KV_ISA::for_each_sample(
+      p, begin, end, [&](int b, int64_t first, int64_t last) { KV_ISA::iso_noise_backward(p.sample(b), first, last); });
 }
 
 KV_INSTANTIATE_WITH_BYTES(sum_lightness, IsoNoise)

@@ -59,8 +59,8 @@ class Scaling(NamedTuple):
 
     def _program(self, chosen: Tensor | None) -> tuple[Pass, Tensor]:
         columns, count = [self.factors, self.offsets], 2 * self.factors.shape[1]
-        if chosen is not None:  # samples that are not have an order without steps
-            columns.append(chosen[:, None].to(self.factors) - 1)
+        if chosen is not None:  # samples that are not have an order without steps: 0.0 or -1.0, in one launch
+            columns.append(chosen[:, None] + -1.0)
         name = "scale_shift" if count == 2 else "scale_shift_rgb"
         step = ColorStep(name, *map(Column, range(count)), float(self.clips))
         part = ColorPart([step], None if chosen is None else [count])

@@ -148,9 +148,10 @@ __device__ __forceinline__ void run_cluster(Program<float> const& p, Sample<floa
 KV_HD int64_t part_pixels_of(int64_t pixels) { return (ceil_div(pixels, int64_t(kMaxClusterSize)) + P - 1) / P * P; }
 inline size_t bytes_of(int64_t pixels) { return size_t(part_pixels_of(pixels)) * 3 * sizeof(float); }
 
+constexpr int64_t kMaxShared = 112 << 10;  // two blocks on a multiprocessor
+
 template <class Kernel>
 bool takes_clusters(Kernel* kernel, Program<float> const& p) {
-  constexpr int64_t kMaxShared = 112 << 10;  // two blocks on a multiprocessor
   constexpr int64_t kStaticShared = 2 << 10;
   // This does not depend on the number of samples. Two runs are faster for few samples, but they sum in another order,
   // and the result of a sample must not depend on the size of the batch.

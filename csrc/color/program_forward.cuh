@@ -2,7 +2,6 @@
 #pragma once
 
 #include "program.cuh"
-#include "program_bytes.h"
 #include "program_step.h"
 
 namespace kv::color::cuda {

@@ -1,6 +1,7 @@
 // Color programs on lists of images on CUDA, in one launch, or two around a mean of samples that no cluster keeps: a
 // block finds its image in the table and works as blocks of batches do.
 #include "color/lists/program_list.h"
+#include "color/program_bytes.cuh"
 #include "color/program_clusters.cuh"
 #include "color/program_forward.cuh"
 
@@ -9,21 +10,47 @@ namespace {
 
 static_assert(sizeof(ProgramList<float>) <= 32764, "more than a kernel's parameters");
 
+// The image that a block takes, and which of its blocks it is. A second run takes them in reverse, as that of a batch.
+struct ListBlock {
+  int item, entry;
+  ListedPixels const& own;
+  Pixels x, y;
+  int64_t pixels;
+  int block, blocks;
+  float* parts;
+  MeanParts<float> mean;
+
+  __device__ __forceinline__ explicit ListBlock(ProgramList<float> const& p)
+      : item(p.all.contrast >= 0 && !p.all.measures_mean ? p.items - 1 - int(blockIdx.x) : int(blockIdx.x)),
+        entry(p.entry_of(item)),
+        own(p.listed[entry]),
+        x(p.pixels_of(p.all.x, const_cast<void*>(own.x), own)),
+        y(p.pixels_of(p.all.y, own.y, own)),
+        pixels(own.as_values ? own.pixels * int64_t(p.all.x.channels) : own.pixels),
+        block(item - own.first),
+        blocks(p.end_of(entry) - own.first),
+        parts(p.all.parts + own.part),
+        mean{parts, mean_parts_of<float>(p.samples, pixels), pixels} {}
+};
+
 template <int C>
 __global__ void __launch_bounds__(kThreads, 4) run_list(__grid_constant__ ProgramList<float> const p) {
   __shared__ Sample<float> sample;
-  int const i = entry_of_item(p.count, int(blockIdx.x), [&](int k) { return p.listed[k].first; });
-  ListedPixels const& own = p.listed[i];
-  Program<float> const& all = p.all;
-  Pixels const x = p.pixels_of(all.x, const_cast<void*>(own.x), own), y = p.pixels_of(all.y, own.y, own);
-  int64_t const pixels = own.as_values ? own.pixels * int64_t(all.x.channels) : own.pixels;
-  int const block = int(blockIdx.x) - own.first, blocks = p.end_of(i) - own.first;
-  float* const parts = all.parts + own.part;
-  MeanParts<float> const mean{parts, mean_parts_of<float>(p.samples, pixels), pixels};
-  if (own.by_vectors)
-    run_block<float, C, false>(all, sample, x, y, own.sample, 0, 0, pixels, block, blocks, parts + block, mean);
-  else
-    run_block<float, C, true>(all, sample, x, y, own.sample, 0, 0, pixels, block, blocks, parts + block, mean);
+  ListBlock const b(p);
+  auto const run = [&](auto elements) {
+    run_block<float, C, elements.value>(p.all, sample, b.x, b.y, b.own.sample, 0, 0, b.pixels, b.block, b.blocks,
+                                        b.parts + b.block, b.mean);
+  };
+  b.own.by_vectors ? run(std::false_type{}) : run(std::true_type{});
+}
+
+// T: of the results.
+template <int C, class T>
+__global__ void __launch_bounds__(kThreads) run_list_of_bytes(__grid_constant__ ProgramList<float> const p) {
+  __shared__ Sample<float> sample;
+  ListBlock const b(p);
+  run_block_of_bytes<C, T, true>(p.all, sample, b.x, b.y, static_cast<uint8_t const*>(b.x.data),
+                                 static_cast<T*>(b.y.data), b.own.sample, b.pixels, b.block, b.blocks, b.mean);
 }
 
 template <bool Plain>
@@ -58,12 +85,22 @@ int program_list<float>(ProgramList<float> const& params, CUstream_st* stream) {
   ProgramList<float> p = with_access(params);
   set_access_of_vectors(p.all.x), set_access_of_vectors(p.all.y);
   bool const values = p.all.x.channels == 1 || p.listed[0].as_values;
-  values ? run_list<1><<<unsigned(p.items), kThreads, 0, stream>>>(p)
-         : run_list<3><<<unsigned(p.items), kThreads, 0, stream>>>(p);
+  bool const bytes = !p.all.measures_mean && p.all.x.type == DType::uint8 && p.all.x.step == 1 && p.all.y.step == 1;
+  if (bytes && p.all.y.type == DType::uint8)
+    values ? run_list_of_bytes<1, uint8_t><<<unsigned(p.items), kThreads, 0, stream>>>(p)
+           : run_list_of_bytes<3, uint8_t><<<unsigned(p.items), kThreads, 0, stream>>>(p);
+  else if (bytes && !values && p.all.y.type == DType::float32)
+    run_list_of_bytes<3, float><<<unsigned(p.items), kThreads, 0, stream>>>(p);
+  else
+    values ? run_list<1><<<unsigned(p.items), kThreads, 0, stream>>>(p)
+           : run_list<3><<<unsigned(p.items), kThreads, 0, stream>>>(p);
   return cudaGetLastError();
 }
 
-bool takes_clusters(ProgramList<float> const& p, int i) { return takes_clusters(program_at(p, i)); }
+bool takes_clusters(ProgramList<float> const& p, int i) {
+  // Most images are too large, which is known without a copy of the program of each.
+  return int64_t(bytes_of(p.listed[i].pixels)) <= kMaxShared && takes_clusters(program_at(p, i));
+}
 
 int program_list_by_clusters(ProgramList<float> const& params, CUstream_st* stream) {
   ProgramList<float> p = params;

@@ -22,6 +22,9 @@ struct ProgramTable {
   int count, items;
   ListedPixels listed[kMaxListed];
 
+  KV_HD int entry_of(int item) const {
+    return entry_of_item(count, item, [&](int i) { return listed[i].first; });
+  }
   KV_HD int end_of(int i) const { return i + 1 < count ? listed[i + 1].first : items; }
   KV_HD Pixels pixels_of(Pixels x, void* data, ListedPixels const& own) const {
     x.data = data;

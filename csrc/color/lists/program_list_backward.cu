@@ -13,7 +13,7 @@ __global__ void __launch_bounds__(kThreads, 3)
     run_backward_of_list(__grid_constant__ ProgramBackwardList<float> const p) {
   __shared__ Sample<float> sample;
   __shared__ PartialGrads<float> partial_grads;
-  int const entry = entry_of_item(p.count, int(blockIdx.x), [&](int k) { return p.listed[k].first; });
+  int const entry = p.entry_of(int(blockIdx.x));
   ListedPixels const& own = p.listed[entry];
   ProgramBackward<float> const& all = p.all;
   Program<float> const& program = all.forward;

@@ -28,6 +28,11 @@ _draw_sized_parameters = FastPath("draw_sized_parameters", COMPUTED_IN_FLOAT32)
 _draw_warp_and_color_to_list = FastPath("draw_warp_and_color_to_list", COMPUTED_IN_FLOAT32)
 
 
+def _want_gradients(images: Sequence[Tensor]) -> bool:
+    """Whether a gradient of an image of a list is wanted: none of bytes, of which it takes the host longer to ask."""
+    return is_grad_enabled() and images[0].is_floating_point() and any([image.requires_grad for image in images])
+
+
 class DrawnPass:
     """Draws and a pass over images of one shape and type that reads the drawn columns."""
 
@@ -70,7 +75,7 @@ class DrawnPass:
             return results
 
         try:
-            if is_grad_enabled() and any([image.requires_grad for image in images]):
+            if _want_gradients(images):
                 y, matrix, columns, sizes = _call_with_gradients(call, self.image_pass, *images)
             else:
                 y, matrix, columns, sizes, _ = call(images)
@@ -195,7 +200,7 @@ class DrawnListPass:
         x = images[0]
         if not self.of_batch.has_kernel or not _draw_warp_and_color_to_list.serves(x) or in_forward_ad():
             return False
-        return not (is_grad_enabled() and any([image.requires_grad for image in images]))
+        return not _want_gradients(images)
 
     def run(self, images: list[Tensor], keys: Keys | None) -> tuple[list[Tensor], Tensor, Tensor]:
         """The results, the columns, and the sizes (B, 2) of the images on the CPU; `keys` are None where nothing is drawn."""

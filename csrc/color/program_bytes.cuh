@@ -49,49 +49,73 @@ struct Words {
   }
 };
 
-// What a block does of a sample of `pixels` at `from`, whose results, of type T, are `to`: it is one of `blocks`.
-// Planes of float32 are vectors unless they begin Anywhere.
+// Of what a block does its part.
+struct BytesOfSample {
+  Pixels const &x, &y;
+  uint8_t const* from;
+  void* to;
+  int64_t b, pixels;
+  int block, blocks;
+  float* part;  // where the program measures a mean, the block's part of it
+  MeanParts<float> mean;
+};
+
+// What a block does of a sample, whose results are of type T: void where the program measures a mean. Planes of float32
+// are vectors unless they begin Anywhere.
 template <int C, class T, bool Anywhere>
-__device__ __forceinline__ void run_block_of_bytes(Program<float> const& p, Sample<float>& sample, Pixels const& x,
-                                                   Pixels const& y, uint8_t const* from, T* to, int64_t b,
-                                                   int64_t pixels, int block, int blocks,
-                                                   MeanParts<float> const& mean) {
+__device__ __forceinline__ void run_block_of_bytes(Program<float> const& p, Sample<float>& sample,
+                                                   BytesOfSample const& own) {
   constexpr int P = kPixelsPerThread<float>;
-  int64_t const stride = blocks * kChunk<float>;
-  int64_t i = block * kChunk<float> + threadIdx.x * P;
-  Words<C> ahead(x, from);
-  ahead.fetch(x, from, i, pixels);
-  sample.prepare(p, b, false, mean);
-  for (int64_t chunk = block * kChunk<float>; chunk < pixels; chunk += stride, i += stride) {
+  constexpr bool kMeasures = __is_same(T, void);
+  Pixels const &x = own.x, &y = own.y;
+  int64_t const pixels = own.pixels, stride = own.blocks * kChunk<float>;
+  int64_t i = own.block * kChunk<float> + threadIdx.x * P;
+  float partial_mean = 0;
+  Words<C> ahead(x, own.from);
+  ahead.fetch(x, own.from, i, pixels);
+  sample.prepare(p, own.b, false, own.mean);
+  for (int64_t chunk = own.block * kChunk<float>; chunk < pixels; chunk += stride, i += stride) {
     float c[C][P];
     ahead.convert(c);
-    ahead.fetch(x, from, i + stride, pixels);
+    ahead.fetch(x, own.from, i + stride, pixels);
     for (int s = 0; s < sample.length; ++s) {
       auto const entry = sample.order[s];
+      if (kMeasures && entry.step == Step::contrast) break;
       EvaluateStep<float, C, P> values{c, sample.p + entry.first};
       run_step(entry.step, values);
     }
     int const left = int(min(pixels - i, int64_t(2 * P)));
 #pragma unroll
     for (int k = 0; k < C; ++k) {
-      if (k >= y.channels) break;
-      T* const own = to + k * y.channel_stride + i;
-      if constexpr (sizeof(T) == 1) {
-#pragma unroll
-        for (int j = 0; j < P; ++j) c[k][j] *= 255;
-        store_words(own, c[k], 0, left);
-      } else if (Anywhere && reinterpret_cast<uintptr_t>(own) % sizeof(Vector<float, P>) != 0) {  // so for all threads
-        store_striped<P, kThreads / 32>(own, c[k], 0, int(min(pixels - i, int64_t(kChunk<float>))));
-      } else if (left >= P) {
-        store_vector(own, c[k]);
-      } else {
+      if constexpr (kMeasures) {
 #pragma unroll
         for (int j = 0; j < P; ++j)
-          if (j < left) own[j] = c[k][j];
+          if (j < left) partial_mean += c[k][j] * p.gray_weights[k];
+      } else {
+        if (k >= y.channels) break;
+        T* const to = static_cast<T*>(own.to) + k * y.channel_stride + i;
+        if constexpr (sizeof(T) == 1) {
+#pragma unroll
+          for (int j = 0; j < P; ++j) c[k][j] *= 255;
+          store_words(to, c[k], 0, left);
+        } else if (Anywhere && reinterpret_cast<uintptr_t>(to) % sizeof(Vector<float, P>) != 0) {  // so for all threads
+          store_striped<P, kThreads / 32>(to, c[k], 0, int(min(pixels - i, kChunk<float>)));
+        } else if (left >= P) {
+          store_vector(to, c[k]);
+        } else {
+#pragma unroll
+          for (int j = 0; j < P; ++j)
+            if (j < left) to[j] = c[k][j];
+        }
       }
     }
   }
-  if (p.contrast >= 0 && block == 0 && threadIdx.x == 0) p.means[b] = sample.mean;
+  if constexpr (kMeasures) {
+    partial_mean = block_sum_to_all(partial_mean, sample.sums);
+    if (threadIdx.x == 0) *own.part = partial_mean;
+  } else if (p.contrast >= 0 && own.block == 0 && threadIdx.x == 0) {
+    p.means[own.b] = sample.mean;
+  }
 }
 
 }  // namespace

@@ -44,13 +44,14 @@ __global__ void __launch_bounds__(kThreads, 4) run_list(__grid_constant__ Progra
   b.own.by_vectors ? run(std::false_type{}) : run(std::true_type{});
 }
 
-// T: of the results.
+// T: of the results, or void.
 template <int C, class T>
 __global__ void __launch_bounds__(kThreads) run_list_of_bytes(__grid_constant__ ProgramList<float> const p) {
   __shared__ Sample<float> sample;
   ListBlock const b(p);
-  run_block_of_bytes<C, T, true>(p.all, sample, b.x, b.y, static_cast<uint8_t const*>(b.x.data),
-                                 static_cast<T*>(b.y.data), b.own.sample, b.pixels, b.block, b.blocks, b.mean);
+  run_block_of_bytes<C, T, true>(p.all, sample,
+                                 {b.x, b.y, static_cast<uint8_t const*>(b.x.data), b.y.data, b.own.sample, b.pixels,
+                                  b.block, b.blocks, b.parts + b.block, b.mean});
 }
 
 template <bool Plain>
@@ -84,16 +85,16 @@ template <>
 int program_list<float>(ProgramList<float> const& params, CUstream_st* stream) {
   ProgramList<float> p = with_access(params);
   set_access_of_vectors(p.all.x), set_access_of_vectors(p.all.y);
-  bool const values = p.all.x.channels == 1 || p.listed[0].as_values;
-  bool const bytes = !p.all.measures_mean && p.all.x.type == DType::uint8 && p.all.x.step == 1 && p.all.y.step == 1;
-  if (bytes && p.all.y.type == DType::uint8)
-    values ? run_list_of_bytes<1, uint8_t><<<unsigned(p.items), kThreads, 0, stream>>>(p)
-           : run_list_of_bytes<3, uint8_t><<<unsigned(p.items), kThreads, 0, stream>>>(p);
-  else if (bytes && !values && p.all.y.type == DType::float32)
-    run_list_of_bytes<3, float><<<unsigned(p.items), kThreads, 0, stream>>>(p);
-  else
-    values ? run_list<1><<<unsigned(p.items), kThreads, 0, stream>>>(p)
-           : run_list<3><<<unsigned(p.items), kThreads, 0, stream>>>(p);
+  Pixels const &x = p.all.x, &y = p.all.y;
+  bool const values = x.channels == 1 || p.listed[0].as_values, measures = p.all.measures_mean;
+  bool const bytes = x.type == DType::uint8 && x.step == 1, to_planes = bytes && y.step == 1;
+  auto* const kernel = bytes && measures ? (values ? run_list_of_bytes<1, void> : run_list_of_bytes<3, void>)
+                       : to_planes && y.type == DType::uint8
+                           ? (values ? run_list_of_bytes<1, uint8_t> : run_list_of_bytes<3, uint8_t>)
+                       : to_planes && y.type == DType::float32 && !values ? run_list_of_bytes<3, float>
+                       : values                                           ? run_list<1>
+                                                                          : run_list<3>;
+  kernel<<<unsigned(p.items), kThreads, 0, stream>>>(p);
   return cudaGetLastError();
 }
 

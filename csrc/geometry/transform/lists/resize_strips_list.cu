@@ -6,12 +6,6 @@
 namespace kv::geometry::cuda {
 namespace {
 
-template <class T>
-KV_HD Resize<T> strip_sample_at(ResizeWindowsList<T> const& p, int b) {
-  ResizeWindows<T> const one = sample_at(p, b);
-  return {one.x, one.y, one.resize_axis(one.window(0, 1), 1), one.resize_axis(one.window(0, 0), 0)};
-}
-
 // The warps of a block whose image has three planes: none has no plane.
 constexpr int kColorWarps = 6;
 
@@ -28,7 +22,7 @@ struct StripBlock {
   template <class S>
   __device__ __forceinline__ void init(ResizeWindowsList<T> const& p, ResizeStrips const& all, bool along_x) {
     int const b = p.list.sample_of(int(blockIdx.x));
-    Resize<T> const own = strip_sample_at(p, b);
+    Resize<T> const own = resize_at(p, b);
     ResizeStrips divided = all;
     if (along_x) {
       aligned = strips_are_aligned<S>(own.x);
@@ -63,13 +57,13 @@ int launch(ResizeWindowsList<T>& p, int64_t planes, CUstream_st* stream) {
   int const warps_down = W == kColorWarps ? 2 : warps_down_of(planes, 0.35);
   int64_t const groups = ceil_div(planes, int64_t(W / warps_down));
   // A sample that needs as much shared memory as any, and how many strips of columns each one has.
-  Resize<T> largest = strip_sample_at(p, 0);
+  Resize<T> largest = resize_at(p, 0);
   ResizeStrips strips{};
   strips.warps_down = warps_down;
   unsigned across[kMaxListed];
   int64_t columns = 0, height = 0;
   for (int b = 0; b < p.list.count; ++b) {
-    Resize<T> const one = strip_sample_at(p, b);
+    Resize<T> const one = resize_at(p, b);
     if (one.rows.max_readers > min(M, one.rows.max_taps) || one.x.row_stride * int64_t(sizeof(T)) > INT32_MAX)
       return kUnsupported;
     ResizeStrips own;

@@ -1,5 +1,5 @@
-// Antialiased resizing of windows of lists on CUDA, and its gradient, in one launch: a block finds its image in the
-// table, and resizes as blocks of batches do.
+// Antialiased resizing of windows of lists on CUDA, and its gradient: a block finds its image in the table, and resizes
+// as blocks of batches do.
 #include "geometry/transform/lists/resize_windows_list.h"
 #include "geometry/transform/resize/resize_windows.cuh"
 
@@ -108,6 +108,8 @@ int resize_tiles(ResizeWindowsList<T>& p, ResizeWindows<T> const& largest, bool 
 template <class T>
 int resize_windows_list(ResizeWindowsList<T> const& params, CUstream_st* stream) {
   ResizeWindowsList<T> p = params;
+  if constexpr (sizeof(T) <= 2)
+    if (int const error = resize_columns_list(p, stream); error != cudaSuccess || p.list.count == 0) return error;
   if constexpr (sizeof(T) < 8) {
     if (int const error = resize_strips_list(p, stream); error != kUnsupported) return error;
     bool fits, near;

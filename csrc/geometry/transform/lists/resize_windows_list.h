@@ -25,12 +25,22 @@ KV_HD ResizeWindows<T> sample_at(ResizeWindowsList<T> const& p, int b) {
   return one;
 }
 
+// Where the window is the whole image.
+template <class T>
+KV_HD Resize<T> resize_at(ResizeWindowsList<T> const& p, int b) {
+  ResizeWindows<T> const one = sample_at(p, b);
+  return {one.x, one.y, one.resize_axis(one.window(0, 1), 1), one.resize_axis(one.window(0, 0), 0)};
+}
+
 KV_KERNEL(resize_windows_list, ResizeWindowsList)
 
 namespace cuda {
 // For windows that are whole images, which shrink; others are not served.
 template <class T>
 int resize_strips_list(ResizeWindowsList<T> p, CUstream_st* stream);
+// Resizes the images that shrink a little, and leaves the others in the list.
+template <class T>
+int resize_columns_list(ResizeWindowsList<T>& p, CUstream_st* stream);
 }  // namespace cuda
 
 // On the CPU an item is some rows of a result, where rows of all planes follow each other, or backward a plane. On CUDA

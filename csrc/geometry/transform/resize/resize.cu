@@ -189,6 +189,8 @@ int resize(Resize<T> const& p, CUstream_st* stream) {
     if (int const error = resize_linear(p, stream); error != kUnsupported) return error;
     if constexpr (sizeof(T) > 1)
       if (int const error = resize_linear_backward(p, stream); error != kUnsupported) return error;
+    if constexpr (sizeof(T) <= 2)
+      if (int const error = resize_columns(p, stream); error != kUnsupported) return error;
     // Special case, H200: 1.01 (extract_patches backward) to 6.8 (resize 0.07 aa backward) times as fast as tiles.
     if (int const error = resize_strips(p, stream); error != kUnsupported) return error;
     int const max_taps = max(p.rows.max_taps, p.columns.max_taps);

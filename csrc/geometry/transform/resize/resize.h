@@ -83,6 +83,8 @@ template <class T>
 int resize_strips(Resize<T> const& p, CUstream_st* stream);
 template <class T>
 int resize_near_half(Resize<T> const& p, CUstream_st* stream);
+template <class T>
+int resize_columns(Resize<T> const& p, CUstream_st* stream);
 }  // namespace cuda
 
 // --- sizes -----------------------------------------------------------------------------------------------------------

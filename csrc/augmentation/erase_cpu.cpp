@@ -4,7 +4,6 @@
 #include "augmentation/erase.h"
 #include "core/lanes.h"
 #include "core/scratch.h"
-#include "geometry/transform/lists/list_items.h"
 
 namespace kv::augmentation::KV_ISA {
 
@@ -37,7 +36,7 @@ KV_HD void erase_rows(Params const& p, int64_t begin, int64_t end, EraseRow eras
 // Calls erase(image, first row, end) for the items of a list.
 template <class All, class EraseRows>
 KV_HD void for_each_image(EraseList<All> const& p, int64_t begin, int64_t end, EraseRows erase) {
-  geometry::KV_ISA::for_each_sample(p.list, begin, end, [&](int b, int64_t first, int64_t last) {
+  for_each_sample(p.list, begin, end, [&](int b, int64_t first, int64_t last) {
     All const one = p.sample(b);
     erase(one, kEraseRows * first, min(kEraseRows * last, one.x.rows()));
   });

@@ -5,7 +5,6 @@
 #include "core/lanes.h"
 // Included after core/lanes.h, whose vectors it uses.
 #include "augmentation/noise.h"
-#include "geometry/transform/lists/list_items.h"
 
 namespace kv::augmentation::KV_ISA {
 namespace {
@@ -214,25 +213,23 @@ void shot_noise(PixelNoise<T> const& p, int64_t begin, int64_t end) {
 
 template <class T>
 void gaussian_noise_list(PixelNoiseList<T> const& p, int64_t begin, int64_t end) {
-  geometry::KV_ISA::for_each_sample(p.list, begin, end, [&](int b, int64_t first, int64_t last) {
-    KV_ISA::gaussian_noise(p.sample(b), first, last);
-  });
+  for_each_sample(p.list, begin, end,
+                  [&](int b, int64_t first, int64_t last) { KV_ISA::gaussian_noise(p.sample(b), first, last); });
 }
 template <class T>
 void uniform_noise_list(PixelNoiseList<T> const& p, int64_t begin, int64_t end) {
-  geometry::KV_ISA::for_each_sample(
-      p.list, begin, end, [&](int b, int64_t first, int64_t last) { KV_ISA::uniform_noise(p.sample(b), first, last); });
+  for_each_sample(p.list, begin, end,
+                  [&](int b, int64_t first, int64_t last) { KV_ISA::uniform_noise(p.sample(b), first, last); });
 }
 template <class T>
 void salt_and_pepper_list(PixelNoiseList<T> const& p, int64_t begin, int64_t end) {
-  geometry::KV_ISA::for_each_sample(p.list, begin, end, [&](int b, int64_t first, int64_t last) {
-    KV_ISA::salt_and_pepper(p.sample(b), first, last);
-  });
+  for_each_sample(p.list, begin, end,
+                  [&](int b, int64_t first, int64_t last) { KV_ISA::salt_and_pepper(p.sample(b), first, last); });
 }
 template <class T>
 void shot_noise_list(PixelNoiseList<T> const& p, int64_t begin, int64_t end) {
-  geometry::KV_ISA::for_each_sample(
-      p.list, begin, end, [&](int b, int64_t first, int64_t last) { KV_ISA::shot_noise(p.sample(b), first, last); });
+  for_each_sample(p.list, begin, end,
+                  [&](int b, int64_t first, int64_t last) { KV_ISA::shot_noise(p.sample(b), first, last); });
 }
 
 KV_INSTANTIATE_WITH_BYTES(gaussian_noise, PixelNoise)

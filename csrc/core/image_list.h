@@ -56,6 +56,24 @@ KV_HD int entry_of_item(int count, int item, FirstOf first_of) {
   return low;
 }
 
+// Where the items of entry b of a table end.
+template <class List>
+KV_HD int end_of_items(List const& list, int b) {
+  return b + 1 < list.count ? list.first[b + 1] : list.items;
+}
+
+// The work of a table on the CPU: calls run(entry, first, last) for the items [begin, end) of each entry, counted from
+// its first one.
+template <class List, class Run>
+KV_HD void for_each_sample(List const& list, int64_t begin, int64_t end, Run run) {
+  while (begin < end) {
+    int const b = list.sample_of(int(begin));
+    int64_t const first = list.first[b], last = min(end, int64_t(end_of_items(list, b)));
+    run(b, begin - first, last - first);
+    begin = last;
+  }
+}
+
 // What is read and what is written for each of `count` samples. A kernel's work is a number of items, parts of a
 // result; those of sample b begin at first[b].
 struct ListedSamples {

@@ -94,7 +94,7 @@ struct JpegList {
   KV_HD bool copies(int b) const { return chosen && chosen[b * chosen_stride] == 0; }
   KV_HD int sample_of(int item) const { return list.sample_of(item); }
   KV_HD int first_of(int b) const { return list.first[b]; }
-  KV_HD int end_of(int b) const { return b + 1 < list.count ? list.first[b + 1] : list.items; }
+  KV_HD ListedSamples const& table() const { return list; }
   // A sample as a batch of one.
   KV_HD JpegBlocks<T> blocks(int b) const {
     return jpeg_sample(images_of<T>(list.images[b], channels), memory, first_of(b), all, b);
@@ -123,6 +123,7 @@ struct JpegListBackward : GradientList<JpegTables<Compute<T>>, T> {
   Compute<T>*memory, *grad_memory;  // kJpegTileLevels for each item
 
   KV_HD int first_of(int b) const { return this->first[b]; }
+  KV_HD JpegListBackward const& table() const { return *this; }
   KV_HD JpegBlocks<T> blocks(int b) const {
     return jpeg_sample(images_of<T>(this->images[b], this->channels), memory, first_of(b), this->all, b);
   }

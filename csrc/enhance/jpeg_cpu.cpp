@@ -265,13 +265,10 @@ namespace {
 // is among the items.
 template <class List, class Run>
 KV_HD void rows_of_tiles(List const& p, int64_t begin, int64_t end, Run run) {
-  while (begin < end) {
-    int const b = p.sample_of(int(begin));
-    int64_t const first = p.first_of(b), last = min(end, int64_t(p.end_of(b)));
+  for_each_sample(p.table(), begin, end, [&](int b, int64_t first, int64_t last) KV_INLINE {
     int64_t const across = ceil_div(p.blocks(b).x.width, int64_t(kJpegWidth));
-    run(b, ceil_div(begin - first, across), ceil_div(last - first, across), p.copies(b));
-    begin = last;
-  }
+    run(b, ceil_div(first, across), ceil_div(last, across), p.copies(b));
+  });
 }
 
 template <class List>

@@ -2,7 +2,6 @@
 #include "core/lanes.h"
 // Included after core/lanes.h, whose vectors it uses.
 #include "augmentation/corruption/glass.h"
-#include "geometry/transform/lists/list_items.h"
 
 namespace kv::augmentation::KV_ISA {
 namespace {
@@ -37,7 +36,7 @@ void read_neighbors(ReadNeighbors<T> const& p, int64_t begin, int64_t end) {
 
 template <class T>
 void read_neighbors_list(ReadNeighborsList<T> const& p, int64_t begin, int64_t end) {
-  geometry::KV_ISA::for_each_sample(p.list, begin, end, [&](int b, int64_t first, int64_t last) {
+  for_each_sample(p.list, begin, end, [&](int b, int64_t first, int64_t last) {
     ReadNeighbors<T> const one = p.sample(b);
     int64_t const rows = rows_of_item(one.width);
     read_neighbors(one, first * rows, min(last * rows, one.height));

@@ -35,7 +35,6 @@ KV_HD F nan_min(F a, F b) {
 
 // Included after those, which its formulas use.
 #include "augmentation/corruption/iso_noise.h"
-#include "geometry/transform/lists/list_items.h"
 
 namespace kv::augmentation::KV_ISA {
 
@@ -158,26 +157,24 @@ void iso_noise_backward(IsoNoiseBackward<T> const& p, int64_t begin, int64_t end
 
 template <class T>
 void sum_lightness_list(IsoNoiseList<T> const& p, int64_t begin, int64_t end) {
-  geometry::KV_ISA::for_each_sample(p.noise.list, begin, end, [&](int b, int64_t first, int64_t last) {
-    KV_ISA::sum_lightness(p.sample(b), first, last);
-  });
+  for_each_sample(p.noise.list, begin, end,
+                  [&](int b, int64_t first, int64_t last) { KV_ISA::sum_lightness(p.sample(b), first, last); });
 }
 template <class T>
 void iso_noise_list(IsoNoiseList<T> const& p, int64_t begin, int64_t end) {
-  geometry::KV_ISA::for_each_sample(p.noise.list, begin, end, [&](int b, int64_t first, int64_t last) {
-    KV_ISA::iso_noise(p.sample(b), first, last);
-  });
+  for_each_sample(p.noise.list, begin, end,
+                  [&](int b, int64_t first, int64_t last) { KV_ISA::iso_noise(p.sample(b), first, last); });
 }
 
 template <class T>
 void sum_lightness_again(IsoNoiseBackwardList<T> const& p, int64_t begin, int64_t end) {
-  geometry::KV_ISA::for_each_sample(
-      p, begin, end, [&](int b, int64_t first, int64_t last) { KV_ISA::sum_lightness<T>(p.sample(b), first, last); });
+  for_each_sample(p, begin, end,
+                  [&](int b, int64_t first, int64_t last) { KV_ISA::sum_lightness<T>(p.sample(b), first, last); });
 }
 template <class T>
 void iso_noise_list_backward(IsoNoiseBackwardList<T> const& p, int64_t begin, int64_t end) {
-  geometry::KV_ISA::for_each_sample(
-      p, begin, end, [&](int b, int64_t first, int64_t last) { KV_ISA::iso_noise_backward(p.sample(b), first, last); });
+  for_each_sample(p, begin, end,
+                  [&](int b, int64_t first, int64_t last) { KV_ISA::iso_noise_backward(p.sample(b), first, last); });
 }
 
 KV_INSTANTIATE_WITH_BYTES(sum_lightness, IsoNoise)

@@ -1,7 +1,6 @@
 // Sums of moved copies on the CPU: rows [begin, end) of all planes. Compiled once per instruction set.
 #include "augmentation/corruption/moved.h"
 #include "core/lanes.h"
-#include "geometry/transform/lists/list_items.h"
 
 namespace kv::augmentation::KV_ISA {
 
@@ -76,7 +75,7 @@ void sum_of_moved_backward(SumOfMoved<T> const& p, int64_t begin, int64_t end) {
 
 template <class T>
 void sum_of_moved_list(SumOfMovedList<T> const& p, int64_t begin, int64_t end) {
-  geometry::KV_ISA::for_each_sample(p.list, begin, end, [&](int b, int64_t first, int64_t last) {
+  for_each_sample(p.list, begin, end, [&](int b, int64_t first, int64_t last) {
     SumOfMoved<T> const one = p.sample(b);
     int64_t const rows = rows_of_item(one.width);
     sum_of_moved(one, first * rows, min(last * rows, one.channels * one.height));
@@ -85,7 +84,7 @@ void sum_of_moved_list(SumOfMovedList<T> const& p, int64_t begin, int64_t end) {
 
 template <class T>
 void sum_of_moved_backward_list(SumOfMovedList<T> const& p, int64_t begin, int64_t end) {
-  geometry::KV_ISA::for_each_sample(p.list, begin, end, [&](int b, int64_t first, int64_t last) {
+  for_each_sample(p.list, begin, end, [&](int b, int64_t first, int64_t last) {
     SumOfMoved<T> const one = p.sample(b);
     int64_t const rows = rows_of_item(one.width);
     KV_ISA::sum_of_moved_backward(one, first * rows, min(last * rows, one.channels * one.height));

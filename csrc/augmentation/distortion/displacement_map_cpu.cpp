@@ -1,7 +1,6 @@
 // Maps of lenses, vortices, grids and splines on the CPU: rows [begin, end) of all samples, or of a list items, which
 // are some rows of a map. Compiled once per instruction set.
 #include "augmentation/distortion/displacement_map.h"
-#include "geometry/transform/lists/list_items.h"
 
 namespace kv::augmentation::KV_ISA {
 namespace {
@@ -29,7 +28,7 @@ void displacement_map(DisplacementMap<T> const& p, int64_t begin, int64_t end) {
 
 template <class T>
 void displacement_map_list(DisplacementMapList<T> const& p, int64_t begin, int64_t end) {
-  geometry::KV_ISA::for_each_sample(p.list, begin, end, [&](int b, int64_t first, int64_t last) {
+  for_each_sample(p.list, begin, end, [&](int b, int64_t first, int64_t last) {
     DisplacementMap<T> const one = p.sample(b);
     int64_t const rows = rows_of_item(one.width), from = first * rows, to = min(last * rows, one.height);
     if (p.is_chosen(b)) return displacement_map(one, from, to);

@@ -22,7 +22,7 @@ __device__ __forceinline__ auto sample_of_block(List const& p, unsigned& block) 
   __syncthreads();
   auto const* const one = reinterpret_cast<Filter const*>(memory);
   if (!p.copies(b)) return one;
-  int64_t const blocks = (b + 1 < p.list.count ? p.list.first[b + 1] : p.list.items) - first;
+  int64_t const blocks = end_of_items(p.list, b) - first;
   int const height = int(one->y.height), size = int(one->y.row_size());
   for (int64_t r = one->y.rows() * block / blocks; r < one->y.rows() * (block + 1) / blocks; ++r) {
     int64_t const plane = r / height;

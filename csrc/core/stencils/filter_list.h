@@ -32,12 +32,10 @@ struct FilterList {
 // items [begin, end).
 template <class List, class Run>
 KV_HD void filter_items(List const& p, int64_t begin, int64_t end, Run run) {
-  while (begin < end) {
-    int const b = p.list.sample_of(int(begin));
+  for_each_sample(p.list, begin, end, [&](int b, int64_t first, int64_t last) KV_INLINE {
     auto const one = p.sample(b);
-    int64_t const first = p.list.first[b], next = b + 1 < p.list.count ? p.list.first[b + 1] : p.list.items;
-    int64_t const last = min(end, next), height = one.y.height, rows = rows_of_item(one.y.width);
-    int64_t const from = (begin - first) * rows, to = min((last - first) * rows, one.y.rows());
+    int64_t const height = one.y.height, rows = rows_of_item(one.y.width);
+    int64_t const from = first * rows, to = min(last * rows, one.y.rows());
     if (p.copies(b)) {
       for (int64_t r = from; r < to; ++r)
         __builtin_memcpy(one.y.row(r / height, r % height), one.x.row(r / height, r % height),
@@ -45,8 +43,7 @@ KV_HD void filter_items(List const& p, int64_t begin, int64_t end, Run run) {
     } else {
       run(one, from, to);
     }
-    begin = last;
-  }
+  });
 }
 
 }  // namespace kv

@@ -23,7 +23,7 @@ __device__ __forceinline__ auto sample_of_block(List const& p, unsigned& block) 
   __syncthreads();
   auto const* const one = reinterpret_cast<Gradient const*>(memory);
   if (!p.copies(b)) return one;
-  int64_t const blocks = p.end_of(b) - p.first[b], rows = one->x.rows(), height = one->x.height;
+  int64_t const blocks = end_of_items(p, b) - p.first[b], rows = one->x.rows(), height = one->x.height;
   for (int64_t r = rows * block / blocks; r < rows * (block + 1) / blocks; ++r)
     copy_gradients<List::kAsStored>(*one, r / height, r % height, thread, blockDim.x * blockDim.y);
   return nullptr;

@@ -25,7 +25,6 @@ struct GradientList {
   int first[kMaxListedGradients];
 
   KV_HD bool copies(int b) const { return chosen && chosen[b * chosen_stride] == 0; }
-  KV_HD int end_of(int b) const { return b + 1 < count ? first[b + 1] : items; }
   KV_HD int sample_of(int item) const {
     return entry_of_item(count, item, [&](int i) { return first[i]; });
   }
@@ -82,16 +81,13 @@ KV_HD Gradient flat_gradients(Gradient one) {
 // The same where an item is all pixels of a channel: calls run(flat sample, first channel, channel behind the last).
 template <class List, class Run>
 KV_HD void channel_gradient_items(List const& p, int64_t begin, int64_t end, Run run) {
-  while (begin < end) {
-    int const b = p.sample_of(int(begin));
+  for_each_sample(p, begin, end, [&](int b, int64_t first, int64_t last) KV_INLINE {
     auto const one = flat_gradients(p.sample(b));
-    int64_t const first = p.first[b], last = min(end, int64_t(p.end_of(b)));
     if (p.copies(b))
-      for (int64_t c = begin - first; c < last - first; ++c) copy_gradients<false>(one, c, 0, 0, 1);
+      for (int64_t c = first; c < last; ++c) copy_gradients<false>(one, c, 0, 0, 1);
     else
-      run(one, begin - first, last - first);
-    begin = last;
-  }
+      run(one, first, last);
+  });
 }
 
 }  // namespace kv

@@ -1,6 +1,5 @@
 // Maps of lists of images on the CPU, by the kernels of batches: items [begin, end) of all samples. Compiled once per
 // instruction set.
-#include "geometry/transform/lists/list_items.h"
 #include "geometry/transform/lists/remap_list.h"
 
 namespace kv::geometry::KV_ISA {

@@ -1,6 +1,5 @@
 // Resizing of lists on the CPU, by the kernel of batches: items [begin, end) of all results. Compiled once per
 // instruction set.
-#include "geometry/transform/lists/list_items.h"
 #include "geometry/transform/lists/resize_list.h"
 
 namespace kv::geometry::KV_ISA {

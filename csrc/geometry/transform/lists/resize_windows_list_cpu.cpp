@@ -1,6 +1,5 @@
 // Antialiased resizing of windows of a list on the CPU, by the kernel of batches: items [begin, end) of all samples.
 // Compiled once per instruction set.
-#include "geometry/transform/lists/list_items.h"
 #include "geometry/transform/lists/resize_windows_list.h"
 
 namespace kv::geometry::KV_ISA {

@@ -1,7 +1,6 @@
 // Antialiased warps of lists of images on the CPU, by the kernel of batches: items [begin, end) of all samples.
 // Compiled once per instruction set.
 #include "geometry/transform/antialiased/warp_antialiased.h"
-#include "geometry/transform/lists/list_items.h"
 #include "geometry/transform/lists/sample_list.h"
 
 namespace kv::geometry::KV_ISA {

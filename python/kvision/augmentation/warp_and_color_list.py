@@ -17,11 +17,10 @@ from kvision._list_ops import ListOperator
 from kvision._ops import match_layout
 from kvision.augmentation import transforms
 from kvision.augmentation import warp_and_color as batches
-from kvision.geometry.transform import sampling
 from kvision.geometry.transform.lists import arguments as lists
 from kvision.geometry.transform.lists.kept_sizes import register_list_backward
 from kvision.geometry.transform.lists.resize_windows_list import resize_windows_list, resize_windows_list_backward
-from kvision.geometry.transform.lists.warp_list import warp_list, warp_list_backward
+from kvision.geometry.transform.lists.warp_list import warp_list, warp_list_backward, warp_list_matrix_backward
 
 # Arguments: images (C, H, W), and those of `warp_and_color`; the size is not empty.
 
@@ -77,11 +76,7 @@ def _backward(needs, grads, results, images, columns, fill, size, plan, numbers)
     if parts.antialias:  # windows are whole pixels
         of_matrix = torch.zeros_like(matrix)
     else:
-        each = [
-            sampling._warp_matrix_backward(g, x[None], lists.row(matrix, b), lists.row(fill, b), None, *options)
-            for b, (g, x) in enumerate(zip(grad.split(1), images))
-        ]
-        of_matrix = torch.cat(each)
+        (of_matrix,) = warp_list_matrix_backward([*images, grad], matrix, fill, *options)
     of_chain = transforms._transform_matrix_backward(of_matrix, columns, parts.transforms, parts.transform_numbers)
     return of_images, of_chain if of_columns is None or not of_columns.shape[1] else of_chain + of_columns, None
 
@@ -194,13 +189,8 @@ def _list_backward(needs, grads, results, images, columns, fill, warps, sizes, p
         return of_images, None, None
     if not warps or parts.antialias:  # windows are whole pixels
         return of_images, torch.zeros_like(columns) if of_columns is None else of_columns, None
-    each = [
-        sampling._warp_matrix_backward(g[None], x[None], lists.row(matrix, b), lists.row(fill, b), None, *options)
-        for b, (g, x) in enumerate(zip(grads, images))
-    ]
-    of_chain = transforms._transform_matrix_backward(
-        torch.cat(each), columns, parts.transforms, parts.transform_numbers
-    )
+    (of_matrix,) = warp_list_matrix_backward([*images, *grads], matrix, fill, *options)
+    of_chain = transforms._transform_matrix_backward(of_matrix, columns, parts.transforms, parts.transform_numbers)
     return of_images, of_chain if of_columns is None or not of_columns.shape[1] else of_chain + of_columns, None
 
 

@@ -13,8 +13,7 @@
 namespace kv::geometry::cuda {
 namespace {
 
-constexpr int kGatherRows = 2;   // of a thread at a time
-constexpr int kGatherTile = 64;  // pixels of the source that a block takes along each axis
+constexpr int kGatherRows = 2;  // of a thread at a time
 
 // The output pixels around source pixels, of all tiles of a sample.
 template <class F>
@@ -251,17 +250,21 @@ __device__ __forceinline__ void gather_covered_tile(CoveredGather<F> const& tile
     }
 }
 
+// How many blocks of threads a multiprocessor has at least.
 template <class T>
-__global__ void __launch_bounds__(kThreads, sizeof(T) == 8 ? 2 : 4)
-    gather_covered(__grid_constant__ SampleImageBackward<T> const p, unsigned across, unsigned down) {
+constexpr int kGatherBlocks = sizeof(T) == 8 ? 2 : 4;
+
+// Writes the gradients of a tile of the image of a sample, the one in that column and row of tiles.
+template <class T>
+__device__ __forceinline__ void gather_covered_block(SampleImageBackward<T> const& p, unsigned sample, unsigned column,
+                                                     unsigned row) {
   using F = Compute<T>;
   constexpr int kTogether = sizeof(T) == 8 ? 1 : 3;
   __shared__ __align__(16) unsigned char shared_tile[sizeof(CoveredGather<F>)];
   extern __shared__ __align__(16) unsigned char shared_memory[];
   CoveredGather<F>& tile = *reinterpret_cast<CoveredGather<F>*>(shared_tile);
   F* const memory = reinterpret_cast<F*>(shared_memory);
-  unsigned const line = blockIdx.x / across, sample = line / down;
-  int const x0 = int(blockIdx.x - line * across) * kGatherTile, y0 = int(line - sample * down) * kGatherTile;
+  int const x0 = int(column) * kGatherTile, y0 = int(row) * kGatherTile;
   int const width = int(p.grad_x.width), height = int(p.grad_x.height);
   if (threadIdx.x < 32) {
     CoveredGather<F> own(homography(p.coords.matrices + sample * p.coords.matrix_stride, p.coords.use), sample,
@@ -307,6 +310,14 @@ __global__ void __launch_bounds__(kThreads, sizeof(T) == 8 ? 2 : 4)
       }
     });
   }
+}
+
+// The memory of a block.
+template <class T>
+int gather_bytes(int channels) {
+  using F = Compute<T>;
+  int const together = sizeof(T) == 8 || channels < 3 ? 1 : 3;
+  return together * GatherShape<F>::kColumns * GatherShape<F>::kRows * int(sizeof(F));
 }
 
 }  // namespace

@@ -298,6 +298,8 @@ struct MapDifferencesBackward {
   }
 };
 
+constexpr int kGatherTile = 64;  // pixels of an image whose gradients a block of threads gathers, along each axis
+
 KV_KERNEL(sample_antialiased, Sample)
 KV_KERNEL(sample_antialiased_image_backward, SampleImageBackward)
 KV_KERNEL(sample_antialiased_coords_backward, AntialiasedCoordsBackward)

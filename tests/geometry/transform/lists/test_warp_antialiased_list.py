@@ -6,6 +6,7 @@ import pytest
 import torch
 
 import kvision as K
+import kvision.augmentation as A
 from geometry.transform.lists.test_warp_list import SIZES, TYPES, one_by_one, pictures
 from op_tests import assert_close
 
@@ -59,19 +60,53 @@ def test_gradients(device):
         )
 
     assert torch.autograd.gradcheck(warped, (*images, matrices, fill), nondet_tol=1e-12)
+    assert torch.autograd.gradgradcheck(lambda *t: warped(*t, matrices, 0.0), images, nondet_tol=1e-12)
+    by_matrices = lambda m: warped(*(x.detach() for x in images), m, 0.0)  # noqa: E731
+    (of_matrices,) = torch.autograd.grad(by_matrices(matrices).square().sum(), matrices, create_graph=True)
+    assert all(map(torch.isfinite, torch.autograd.grad(of_matrices.sum(), matrices)[0].flatten()))
 
 
+@pytest.mark.parametrize("padding", ["zeros", "border", "reflection"])
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float16], ids=str)
-def test_gradients_are_those_of_single_images(dtype, device):
+def test_gradients_are_those_of_single_images(dtype, padding, device):
     matrices, leaves = shrinking(len(SIZES), device), [x.requires_grad_() for x in pictures(device, dtype)]
     images = [*leaves[:-1], leaves[0]]  # the first image twice
+    options = {"dsize": (13, 17), "padding_mode": padding, "antialias": True}
     results = [
-        K.geometry.warp_perspective(images, matrices, (13, 17), antialias=True),
-        one_by_one(K.geometry.warp_perspective, images, matrices, dsize=(13, 17), antialias=True),
+        K.geometry.warp_perspective(images, matrices, **options),
+        one_by_one(K.geometry.warp_perspective, images, matrices, **options),
     ]
     weights = torch.rand_like(results[0])
     gradients = [torch.autograd.grad((y * weights).sum(), leaves[:-1]) for y in results]
-    assert_close(*gradients, **({"atol": 2e-2} if dtype == torch.float16 else {"atol": 1e-4}))
+    assert_close(*gradients, **({"atol": 2e-2} if dtype == torch.float16 else {"atol": 1e-6}))
+
+
+def test_images_that_need_no_gradient_get_none(device):
+    images = pictures(device)
+    images[1].requires_grad_()
+    K.geometry.warp_perspective(images, shrinking(len(SIZES), device), (13, 17), antialias=True).sum().backward()
+    assert [x.grad is not None for x in images] == [False, True, False, False, False]
+
+
+@pytest.mark.parametrize("change", [A.RandomAffine, A.RandomPerspective, "once"], ids=["affine", "perspective", "once"])
+def test_gradients_of_results_of_different_sizes_are_those_of_single_images(change, device):
+    if change == "once":
+        chain = (
+            A.RandomHorizontalFlip(),
+            A.RandomAffine(20.0, antialias=True),
+            A.RandomPerspective(antialias=True, p=0.7),
+        )
+        augmentation = A.ImageSequential(*chain, resample="once")
+    else:
+        augmentation = change(0.5, antialias=True) if change is A.RandomPerspective else change(20.0, antialias=True)
+    images = [x.requires_grad_() for x in pictures(device)]
+    seeds = torch.arange(len(images), device=device)
+    results = augmentation(images, seed=seeds)
+    weights = [torch.rand_like(y) for y in results]
+    found = torch.autograd.grad(results, images, weights)
+    for b, (x, weight) in enumerate(zip(images, weights)):
+        own = augmentation(x[None], seed=seeds[b : b + 1])
+        assert_close(found[b], torch.autograd.grad(own, x, weight[None])[0], 0, 1e-5)
 
 
 def test_more_images_than_a_launch_takes(device):

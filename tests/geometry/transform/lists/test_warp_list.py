@@ -102,10 +102,53 @@ def test_gradients_are_those_of_single_images(dtype, device):
         assert_close(*gradients, **({"atol": 2e-2} if dtype == torch.float16 else {"atol": 1e-4}))
 
 
+@pytest.mark.parametrize("antialias", [False, True])
+@pytest.mark.parametrize("count", [1, len(SIZES)], ids=["one matrix", "one of each"])
+def test_gradients_of_matrices_are_those_of_single_images(count, antialias, device):
+    images, matrices = pictures(device), homographies(count, device).requires_grad_()
+    fill = torch.rand(3, device=device, requires_grad=True)
+    options = {"dsize": (33, 37), "padding_mode": "fill", "fill_value": fill, "antialias": antialias}
+    warp, each = K.geometry.warp_perspective, matrices.expand(len(SIZES), -1, -1)
+    results = warp(images, matrices, **options), one_by_one(warp, images, each, **options)
+    weights = torch.rand_like(results[0])
+    for weight in (weights, weights.contiguous(memory_format=torch.channels_last)):
+        gradients = [torch.autograd.grad(y, (matrices, fill), weight, retain_graph=True) for y in results]
+        for found, expected in zip(*gradients):
+            assert_close(found, expected, rtol=0, atol=2e-6 * float(expected.abs().max()))
+
+
+@pytest.mark.parametrize("antialias", [False, True])
+def test_gradients_of_equal_sizes_have_the_bits_of_a_batch(antialias, device, backend):
+    images = [x.contiguous().requires_grad_() for x in pictures(device, sizes=[(40, 50)] * 6)]
+    matrices = homographies(6, device)[:, :2].requires_grad_()
+    batch = torch.stack(images).detach().requires_grad_()
+    results = [K.geometry.warp_affine(x, matrices, (24, 31), antialias=antialias) for x in (images, batch)]
+    weights = torch.rand_like(results[0])
+    *found, of_matrices = torch.autograd.grad(results[0], (*images, matrices), weights)
+    expected, matrices_expected = torch.autograd.grad(results[1], (batch, matrices), weights)
+    tolerance = 1e-5 if backend == "reference" else 0
+    assert_close(torch.stack(found), expected, 0, tolerance)
+    assert_close(of_matrices, matrices_expected, 0, tolerance * float(matrices_expected.abs().max()))
+
+
 def test_more_images_than_a_launch_takes(device):
     images = [torch.full((1, 2, 1 + i % 3), float(i), device=device) for i in range(1030)]
     results = K.geometry.warp_affine(images, torch.eye(2, 3)[None], (1, 1))
     assert torch.equal(results.flatten().cpu(), torch.arange(1030.0))
+
+
+@pytest.mark.parametrize("antialias", [False, True])
+def test_gradients_of_more_images_than_a_launch_takes(antialias, device):
+    images = [torch.rand(1, 3, 2 + i % 3, device=device, requires_grad=True) for i in range(1030)]
+    matrices = homographies(len(images), device).requires_grad_()
+    results = K.geometry.warp_perspective(images, matrices, (2, 3), antialias=antialias)
+    weights = torch.rand_like(results)
+    *found, of_matrices = torch.autograd.grad(results, (*images, matrices), weights)
+    for b in (0, 511, 512, 1023, 1024, 1029):
+        own = K.geometry.warp_perspective(images[b][None], matrices[b : b + 1], (2, 3), antialias=antialias)
+        expected, of_matrix = torch.autograd.grad(own, (images[b], matrices), weights[b : b + 1])
+        assert_close(found[b], expected, 0, 1e-6)
+        assert_close(of_matrices[b], of_matrix[b], rtol=1e-4, atol=1e-5 * float(of_matrix.abs().max()))
 
 
 def test_integers_are_moved_exactly(device):

@@ -184,7 +184,9 @@ def sizes_of(size: Sequence[int], count: int) -> Iterator[list[int]]:
 
 
 def halves(both: Sequence[Tensor]) -> tuple[Sequence[Tensor], Sequence[Tensor]]:
-    """The images of a list, and the gradients behind them."""
+    """The images of a list, and the gradients behind them: one of each image, or one tensor (B, C, h, w)."""
+    if both[-1].dim() == 4:
+        return both[:-1], both[-1:]
     return both[: len(both) // 2], both[len(both) // 2 :]
 
 

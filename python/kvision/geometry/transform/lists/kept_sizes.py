@@ -172,6 +172,7 @@ def register_list_backward(
     of: Operator,
     reference: Callable[..., Sequence[Tensor]],
     supports: Callable[..., str | None] = lambda *args: None,
+    fake: Callable[..., list[Tensor]] | None = None,
 ) -> ListOperator:
     """The operator that gives gradients of the images of a list: it takes the images, and behind them the gradients of results.
 
@@ -180,9 +181,10 @@ def register_list_backward(
         of: the operator on batches that has kernels where this one has.
         reference: the definition, which is differentiated for second derivatives.
         supports: why the kernel does not serve a list and its arguments, or None.
+        fake: empty tensors like the results, where these are no gradients of images.
     """
 
-    def fake(both: Sequence[Tensor], *args: Any) -> list[Tensor]:
+    def fake_images(both: Sequence[Tensor], *args: Any) -> list[Tensor]:
         images, _ = lists.halves(both)
         return lists.fake_results(images, [n for x in images for n in x.shape[-2:]])
 
@@ -200,7 +202,7 @@ def register_list_backward(
         others = iter(of_all[count:])
         return [list(of_all[:count]), *(next(others) if is_real else None for is_real in are_real)]
 
-    return ListOperator(name, of, reference, fake=fake, backward=gradients, supports=supports)
+    return ListOperator(name, of, reference, fake=fake or fake_images, backward=gradients, supports=supports)
 
 
 def by_samples(of_sample: Callable[..., Tensor]) -> Callable[..., list[Tensor]]:

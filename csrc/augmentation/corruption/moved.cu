@@ -14,48 +14,84 @@ __device__ __forceinline__ bool is_whole(F const* move) {
   return move[0] == 1 && move[1] == rint(move[1]) && move[2] == rint(move[2]);
 }
 
-// Offset: of elements of a sample.
-template <class T, int Channels, class Offset>
-__device__ __forceinline__ void sum_tile(SumOfMoved<T> const& p, unsigned column, unsigned row_block, unsigned group) {
+// Adds what a move reads to the sums of a thread's pixels, from row `top` on. Offset: of elements of a sample.
+template <class Offset, class T, int Channels, class F>
+__device__ __forceinline__ void add_moved(SumOfMoved<T> const& p, T const* x, F const* move, int left, int top,
+                                          F (&sum)[kMovedRows][Channels]) {
+  int const height = int(p.height), width = int(p.width);
+  Offset const channel = Offset(p.x_strides[1]), row = Offset(p.x_strides[2]), pixel = Offset(p.x_strides[3]);
+  F const scale = move[0], weight = move[3];
+  PairOfTaps<F> const across(scale * F(left) + move[1], width);
+  Offset const first = across.first * pixel;
+  if (is_whole(move)) {
+    int const down = int(clamp(move[2], F(-height), F(height)));
+#pragma unroll
+    for (int i = 0; i < kMovedRows; ++i) {
+      Offset const at = clamp(top + i + down, 0, height - 1) * row + first;
+#pragma unroll
+      for (int j = 0; j < Channels; ++j) sum[i][j] += weight * F(read(x[at + j * channel]));
+    }
+    return;
+  }
+  Offset const second = across.second * pixel;
+#pragma unroll
+  for (int i = 0; i < kMovedRows; ++i) {
+    PairOfTaps<F> const down(scale * F(top + i) + move[2], height);
+    auto const read_row = [&](Offset from) {
+      F const u = read(x[from + first]), v = read(x[from + second]);
+      return across.t > 0 ? u + across.t * (v - u) : u;
+    };
+#pragma unroll
+    for (int j = 0; j < Channels; ++j) {
+      F value = read_row(down.first * row + j * channel);
+      if (down.t > 0) value += down.t * (read_row(down.second * row + j * channel) - value);
+      sum[i][j] += weight * value;
+    }
+  }
+}
+
+// The transpose, of gradients. Pixels of zooms are read by few positions, which are looked at one by one.
+template <class Offset, class T, int Channels, class F>
+__device__ __forceinline__ void add_readers(SumOfMoved<T> const& p, T const* grad, F const* move, int left, int top,
+                                            F (&sum)[kMovedRows][Channels]) {
+  int const height = int(p.height), width = int(p.width);
+  Offset const channel = Offset(p.x_strides[1]), row_stride = Offset(p.x_strides[2]), pixel = Offset(p.x_strides[3]);
+  F const scale = move[0], weight = move[3];
+  ReadersOfPixel<F> const across(scale, move[1], left, width);
+#pragma unroll
+  for (int i = 0; i < kMovedRows; ++i) {
+    if (top + i >= height) break;
+    ReadersOfPixel<F> const down(scale, move[2], top + i, height);
+    for (int row = down.begin; row < down.end; ++row) {
+      F const of_row = weight * down.weight(row);
+      if (of_row == 0) continue;
+      for (int x = across.begin; x < across.end; ++x) {
+        F const own = across.weight(x);
+        if (own == 0) continue;
+        Offset const at = row * row_stride + x * pixel;
+#pragma unroll
+        for (int j = 0; j < Channels; ++j) sum[i][j] += of_row * own * F(read(grad[at + j * channel]));
+      }
+    }
+  }
+}
+
+template <bool Backward, class T, int Channels, class Offset>
+__device__ __forceinline__ void run_tile(SumOfMoved<T> const& p, unsigned column, unsigned row_block, unsigned group) {
   using F = Compute<T>;
   int64_t const groups = p.channels / Channels, b = group / groups, c = group % groups * Channels;
   int const height = int(p.height), width = int(p.width), left = column * 32 + threadIdx.x,
             top = (row_block * kMovedWarps + threadIdx.y) * kMovedRows;
   if (top >= height || left >= width) return;
   T const* const x = p.x + b * p.x_strides[0] + c * p.x_strides[1];
-  Offset const channel = Offset(p.x_strides[1]), row = Offset(p.x_strides[2]), pixel = Offset(p.x_strides[3]);
   F sum[kMovedRows][Channels] = {};
   for (int k = 0; k < int(p.num_moves); ++k) {
     F const* const move = p.moves + b * p.move_stride + 4 * k;
-    F const scale = move[0], weight = move[3];
-    if (weight == 0) continue;
-    PairOfTaps<F> const across(scale * F(left) + move[1], width);
-    Offset const first = across.first * pixel;
-    if (is_whole(move)) {
-      int const down = int(clamp(move[2], F(-height), F(height)));
-#pragma unroll
-      for (int i = 0; i < kMovedRows; ++i) {
-        Offset const at = clamp(top + i + down, 0, height - 1) * row + first;
-#pragma unroll
-        for (int j = 0; j < Channels; ++j) sum[i][j] += weight * F(read(x[at + j * channel]));
-      }
-      continue;
-    }
-    Offset const second = across.second * pixel;
-#pragma unroll
-    for (int i = 0; i < kMovedRows; ++i) {
-      PairOfTaps<F> const down(scale * F(top + i) + move[2], height);
-      auto const read_row = [&](Offset from) {
-        F const u = read(x[from + first]), v = read(x[from + second]);
-        return across.t > 0 ? u + across.t * (v - u) : u;
-      };
-#pragma unroll
-      for (int j = 0; j < Channels; ++j) {
-        F value = read_row(down.first * row + j * channel);
-        if (down.t > 0) value += down.t * (read_row(down.second * row + j * channel) - value);
-        sum[i][j] += weight * value;
-      }
-    }
+    if (move[3] == 0) continue;  // its weight
+    if constexpr (Backward)
+      add_readers<Offset>(p, x, move, left, top, sum);
+    else
+      add_moved<Offset>(p, x, move, left, top, sum);
   }
   T* const result = p.y + b * p.y_strides[0] + c * p.y_strides[1] + left * p.y_strides[3];
 #pragma unroll
@@ -64,57 +100,6 @@ __device__ __forceinline__ void sum_tile(SumOfMoved<T> const& p, unsigned column
 #pragma unroll
       for (int j = 0; j < Channels; ++j)
         result[(top + i) * p.y_strides[2] + j * p.y_strides[1]] = round_to<T>(sum[i][j]);
-}
-
-// The transpose, of gradients. Pixels of zooms are read by few positions, which are looked at one by one.
-template <class T, int Channels, class Offset>
-__device__ __forceinline__ void gather_tile(SumOfMoved<T> const& p, unsigned column, unsigned row_block,
-                                            unsigned group) {
-  using F = Compute<T>;
-  int64_t const groups = p.channels / Channels, b = group / groups, c = group % groups * Channels;
-  int const height = int(p.height), width = int(p.width), left = column * 32 + threadIdx.x,
-            top = (row_block * kMovedWarps + threadIdx.y) * kMovedRows;
-  if (top >= height || left >= width) return;
-  T const* const grad = p.x + b * p.x_strides[0] + c * p.x_strides[1];
-  Offset const channel = Offset(p.x_strides[1]), row_stride = Offset(p.x_strides[2]), pixel = Offset(p.x_strides[3]);
-  F sum[kMovedRows][Channels] = {};
-  for (int k = 0; k < int(p.num_moves); ++k) {
-    F const* const move = p.moves + b * p.move_stride + 4 * k;
-    F const scale = move[0], weight = move[3];
-    if (weight == 0) continue;
-    ReadersOfPixel<F> const across(scale, move[1], left, width);
-#pragma unroll
-    for (int i = 0; i < kMovedRows; ++i) {
-      if (top + i >= height) break;
-      ReadersOfPixel<F> const down(scale, move[2], top + i, height);
-      for (int row = down.begin; row < down.end; ++row) {
-        F const of_row = weight * down.weight(row);
-        if (of_row == 0) continue;
-        for (int x = across.begin; x < across.end; ++x) {
-          F const own = across.weight(x);
-          if (own == 0) continue;
-          Offset const at = row * row_stride + x * pixel;
-#pragma unroll
-          for (int j = 0; j < Channels; ++j) sum[i][j] += of_row * own * F(read(grad[at + j * channel]));
-        }
-      }
-    }
-  }
-  T* const result = p.y + b * p.y_strides[0] + c * p.y_strides[1] + left * p.y_strides[3];
-#pragma unroll
-  for (int i = 0; i < kMovedRows; ++i)
-    if (top + i < height)
-#pragma unroll
-      for (int j = 0; j < Channels; ++j)
-        result[(top + i) * p.y_strides[2] + j * p.y_strides[1]] = round_to<T>(sum[i][j]);
-}
-
-template <bool Backward, class T, int Channels, class Offset>
-__device__ __forceinline__ void run_tile(SumOfMoved<T> const& p, unsigned column, unsigned row_block, unsigned group) {
-  if constexpr (Backward)
-    gather_tile<T, Channels, Offset>(p, column, row_block, group);
-  else
-    sum_tile<T, Channels, Offset>(p, column, row_block, group);
 }
 
 template <bool Backward, class T, int Channels, class Offset>

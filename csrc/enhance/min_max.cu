@@ -78,7 +78,7 @@ struct ChunkPosition {
 
 // The range of a chunk, to place `to` of the partial ones.
 template <int P, class T>
-__device__ __forceinline__ void find_range_of_chunk(MinMax<T> const& p, ChunkPosition const& at, unsigned to) {
+__device__ __forceinline__ void reduce_chunk(MinMax<T> const& p, ChunkPosition const& at, unsigned to) {
   using F = Compute<T>;
   Range<F> range = Range<F>::none();
   for_each_vector<kThreads, P>(p.x.plane(at.plane), p.x.step, at.begin, at.end, [&](auto const& vector, int) {
@@ -112,34 +112,9 @@ __device__ __forceinline__ void map_chunk(MinMax<T> const& p, ChunkPosition cons
   });
 }
 
-template <class T, int P>
-__global__ void __launch_bounds__(kThreads) find_range(MinMax<T> p) {
-  find_range_of_chunk<P>(p, {blockIdx.x, p.chunk, p.chunks, p.x.width}, blockIdx.x);
-}
-template <class T, int P>
-__global__ void __launch_bounds__(kThreads) map_range(MinMax<T> p) {
-  map_chunk<P>(p, {gridDim.x - 1 - blockIdx.x, p.chunk, p.chunks, p.x.width});
-}
-
-// The first or the second launch of a list.
-template <class T, int P, bool Maps>
-__global__ void __launch_bounds__(kThreads) range_of_list(__grid_constant__ MinMaxList<T> const p) {
-  unsigned block;
-  MinMax<T> const* const one = sample_of_block(p, block);
-  if (!one) return;
-  MinMax<T> flat = flat_sample(*one);
-  flat.chunks = ceil_div(flat.x.width, flat.chunk);
-  flat.partial += 2 * int64_t(blockIdx.x - block);
-  ChunkPosition const at(block, flat.chunk, flat.chunks, flat.x.width);
-  if constexpr (Maps)
-    map_chunk<P>(flat, at);
-  else
-    find_range_of_chunk<P>(flat, at, block);
-}
-
 // The sums of a chunk, to place `to` of the partial ones.
 template <int P, class T>
-__device__ __forceinline__ void find_sums_of_chunk(MinMaxBackward<T> const& p, ChunkPosition const& at, unsigned to) {
+__device__ __forceinline__ void reduce_chunk(MinMaxBackward<T> const& p, ChunkPosition const& at, unsigned to) {
   using F = Compute<T>;
   F const smallest = read(p.range[2 * at.plane]), largest = read(p.range[2 * at.plane + 1]);
   T const* const grad = p.grad.plane(at.plane);
@@ -158,7 +133,7 @@ __device__ __forceinline__ void find_sums_of_chunk(MinMaxBackward<T> const& p, C
 }
 
 template <int P, class T>
-__device__ __forceinline__ void map_gradient_of_chunk(MinMaxBackward<T> const& p, ChunkPosition const& at) {
+__device__ __forceinline__ void map_chunk(MinMaxBackward<T> const& p, ChunkPosition const& at) {
   using F = Compute<T>;
   F const smallest = read(p.range[2 * at.plane]), largest = read(p.range[2 * at.plane + 1]);
   bool const stays = p.keeps_flat && smallest == largest;
@@ -181,92 +156,102 @@ __device__ __forceinline__ void map_gradient_of_chunk(MinMaxBackward<T> const& p
   });
 }
 
-template <class T, int P>
-__global__ void __launch_bounds__(kThreads) find_sums(MinMaxBackward<T> p) {
-  find_sums_of_chunk<P>(p, {blockIdx.x, p.chunk, p.chunks, p.x.width}, blockIdx.x);
+// Samples of lists with each channel as a row, whose partial results begin at those of block `first`.
+template <class T>
+__device__ __forceinline__ MinMax<T> flat_from(MinMax<T> const& one, int64_t first) {
+  MinMax<T> flat = flat_sample(one);
+  flat.partial += 2 * first;
+  return flat;
 }
-template <class T, int P>
-__global__ void __launch_bounds__(kThreads) map_gradient(MinMaxBackward<T> p) {
-  map_gradient_of_chunk<P>(p, {gridDim.x - 1 - blockIdx.x, p.chunk, p.chunks, p.x.width});
+template <class T>
+__device__ __forceinline__ MinMaxBackward<T> flat_from(MinMaxBackward<T> const& one, int64_t first) {
+  MinMaxBackward<T> flat = flat_gradients(one);
+  flat.partial += 4 * first;
+  return flat;
 }
 
-// The first or the second launch of the gradients of a list.
-template <class T, int P, bool Maps>
-__global__ void __launch_bounds__(kThreads) gradients_of_list(__grid_constant__ MinMaxBackwardList<T> const p) {
+// The first launch, and the one that maps, of a batch and of a list.
+template <int P, bool Maps, class Batch>
+__global__ void __launch_bounds__(kThreads) run_batch(__grid_constant__ Batch const p) {
+  unsigned const block = Maps ? gridDim.x - 1 - blockIdx.x : blockIdx.x;
+  ChunkPosition const at(block, p.chunk, p.chunks, p.x.width);
+  if constexpr (Maps)
+    map_chunk<P>(p, at);
+  else
+    reduce_chunk<P>(p, at, block);
+}
+template <int P, bool Maps, class List>
+__global__ void __launch_bounds__(kThreads) run_list(__grid_constant__ List const p) {
   unsigned block;
-  MinMaxBackward<T> const* const one = sample_of_block(p, block);
+  auto const* const one = sample_of_block(p, block);
   if (!one) return;
-  MinMaxBackward<T> flat = flat_gradients(*one);
+  auto flat = flat_from(*one, int64_t(blockIdx.x - block));
   flat.chunks = ceil_div(flat.x.width, flat.chunk);
-  flat.partial += 4 * int64_t(blockIdx.x - block);
   ChunkPosition const at(block, flat.chunk, flat.chunks, flat.x.width);
   if constexpr (Maps)
-    map_gradient_of_chunk<P>(flat, at);
+    map_chunk<P>(flat, at);
   else
-    find_sums_of_chunk<P>(flat, at, block);
+    reduce_chunk<P>(flat, at, block);
+}
+
+// Whether vectors of x are vectors of what is read and written with it.
+template <class T>
+bool are_aligned(MinMax<T> const& p) {
+  return are_equally_aligned<kPixels<T>>(p.x, p.y);
+}
+template <class T>
+bool are_aligned(MinMaxBackward<T> const& p) {
+  return are_equally_aligned<kPixels<T>>(p.x, p.grad) && are_equally_aligned<kPixels<T>>(p.x, p.grad_x);
+}
+
+template <template <class> class Batch, class T>
+int launch_batch(Batch<T> const& p, CUstream_st* stream) {
+  unsigned const blocks = unsigned(p.x.count() * p.chunks);
+  with_row_vectors<kRowVector<T>>(are_aligned(p), [&](auto pixels) {
+    run_batch<pixels.value, false><<<blocks, kThreads, 0, stream>>>(p);
+    run_batch<pixels.value, true><<<blocks, kThreads, 0, stream>>>(p);
+  });
+  return cudaGetLastError();
+}
+// By launch(how many blocks a sample has, run), which calls run(table, blocks).
+template <class T, class List, class Launch>
+int launch_tables(List const& p, bool aligned, CUstream_st* stream, Launch launch) {
+  int error = 0;
+  auto const blocks_of = [&](auto const& one) {
+    return p.channels * ceil_div(one.x.height * one.x.width, p.all.chunk);
+  };
+  with_row_vectors<kRowVector<T>>(aligned, [&](auto pixels) {
+    error = launch(blocks_of, [&](List const& list, unsigned blocks) {
+      run_list<pixels.value, false><<<blocks, kThreads, 0, stream>>>(list);
+      run_list<pixels.value, true><<<blocks, kThreads, 0, stream>>>(list);
+    });
+  });
+  return error;
 }
 
 }  // namespace
 
 template <class T>
 int min_max(MinMax<T> const& p, CUstream_st* stream) {
-  unsigned const blocks = unsigned(p.x.count() * p.chunks);
-  with_row_vectors<kRowVector<T>>(are_equally_aligned<kPixels<T>>(p.x, p.y), [&](auto pixels) {
-    find_range<T, pixels.value><<<blocks, kThreads, 0, stream>>>(p);
-    map_range<T, pixels.value><<<blocks, kThreads, 0, stream>>>(p);
-  });
-  return cudaGetLastError();
-}
-
-template <class T>
-int min_max_list(MinMaxList<T> const& p, CUstream_st* stream) {
-  int error = 0;
-  bool const aligned = all_samples(p, [](MinMax<T> const& one) {
-    MinMax<T> const flat = flat_sample(one);
-    return are_equally_aligned<kPixels<T>>(flat.x, flat.y);
-  });
-  auto const blocks_of = [&](MinMax<T> const& one) {
-    return p.channels * ceil_div(one.x.height * one.x.width, p.all.chunk);
-  };
-  with_row_vectors<kRowVector<T>>(aligned, [&](auto pixels) {
-    error = launch_list(p, blocks_of, [&](MinMaxList<T> const& list, unsigned blocks) {
-      range_of_list<T, pixels.value, false><<<blocks, kThreads, 0, stream>>>(list);
-      range_of_list<T, pixels.value, true><<<blocks, kThreads, 0, stream>>>(list);
-    });
-  });
-  return error;
+  return launch_batch(p, stream);
 }
 
 template <class T>
 int min_max_backward(MinMaxBackward<T> const& p, CUstream_st* stream) {
-  constexpr int P = kPixels<T>;
-  unsigned const blocks = unsigned(p.x.count() * p.chunks);
-  with_row_vectors<kRowVector<T>>(are_equally_aligned<P>(p.x, p.grad) && are_equally_aligned<P>(p.x, p.grad_x),
-                                  [&](auto pixels) {
-                                    find_sums<T, pixels.value><<<blocks, kThreads, 0, stream>>>(p);
-                                    map_gradient<T, pixels.value><<<blocks, kThreads, 0, stream>>>(p);
-                                  });
-  return cudaGetLastError();
+  return launch_batch(p, stream);
+}
+
+template <class T>
+int min_max_list(MinMaxList<T> const& p, CUstream_st* stream) {
+  bool const aligned = all_samples(p, [](MinMax<T> const& one) { return are_aligned(flat_sample(one)); });
+  return launch_tables<T>(p, aligned, stream, [&](auto blocks_of, auto run) { return launch_list(p, blocks_of, run); });
 }
 
 template <class T>
 int min_max_list_backward(MinMaxBackwardList<T> const& p, CUstream_st* stream) {
-  constexpr int P = kPixels<T>;
-  int error = 0;
-  bool const aligned = all_gradients(p, [](MinMaxBackward<T> const& sample) {
-    MinMaxBackward<T> const one = flat_gradients(sample);
-    return are_equally_aligned<P>(one.x, one.grad) && are_equally_aligned<P>(one.x, one.grad_x);
-  });
-  auto const blocks_of = [&](MinMaxBackward<T> const& one) {
-    return p.channels * ceil_div(one.x.height * one.x.width, p.all.chunk);
-  };
-  with_row_vectors<kRowVector<T>>(aligned, [&](auto pixels) {
-    error = launch_gradients(p, blocks_of, [&](MinMaxBackwardList<T> const& list, unsigned blocks) {
-      gradients_of_list<T, pixels.value, false><<<blocks, kThreads, 0, stream>>>(list);
-      gradients_of_list<T, pixels.value, true><<<blocks, kThreads, 0, stream>>>(list);
-    });
-  });
-  return error;
+  bool const aligned = all_gradients(p, [](MinMaxBackward<T> const& one) { return are_aligned(flat_gradients(one)); });
+  return launch_tables<T>(p, aligned, stream,
+                          [&](auto blocks_of, auto run) { return launch_gradients(p, blocks_of, run); });
 }
 
 KV_INSTANTIATE(min_max, MinMax)

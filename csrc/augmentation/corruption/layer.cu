@@ -83,41 +83,14 @@ __global__ void __launch_bounds__(kLayerThreads) layer_of_list(__grid_constant__
   for (int k = 0; k < 4; ++k) put_behind<1, false>(*one, 0, first + k * kLayerThreads + i);
 }
 
-// Four pixels a thread, in all channels, and those of adjacent threads adjacent.
-template <class T>
-__global__ void __launch_bounds__(kLayerThreads) gradients_of_list(__grid_constant__ AddLayerBackwardList<T> const p) {
+// Calls use(x, m, gradient, where that of x is stored, the factors) for the values of a block of so many pixels of an
+// image. Adjacent threads have adjacent pixels.
+template <int Pixels, class T, class Use>
+__device__ __forceinline__ void for_each_layered(AddLayerBackward<T> const& one, unsigned block, Use const& use) {
   using F = Compute<T>;
-  unsigned block;
-  AddLayerBackward<T> const* const one = sample_of_block(p, block);
-  if (!one) return;
-  int const width = int(one->x.width);
-#pragma unroll
-  for (int k = 0; k < 4; ++k) {
-    int const i = (int(block) * 4 + k) * kLayerThreads + int(threadIdx.x), row = i / width, column = i - row * width;
-    if (row >= one->x.height) return;
-    F const* const layer = one->layer_of(0) + row * one->layer_strides[2] + column * one->layer_strides[3];
-    for (int c = 0; c < int(one->channels); ++c) {
-      LayerFactors<F> const factors(*one, 0, c);
-      F const x = F(read(one->x.row(c, row)[column * one->x.step])),
-              g = F(read(one->grad.row(c, row)[column * one->grad.step]));
-      one->grad_x.row(c, row)[column * one->grad_x.step] =
-          round_to<T>(factors.vjp(x, layer[c * one->layer_strides[1]], g));
-    }
-  }
-}
-
-template <class T>
-__global__ void __launch_bounds__(kLayerThreads) find_fog_factors(__grid_constant__ FogFactors<T> const p) {
-  int const b = int(blockIdx.x * kLayerThreads + threadIdx.x);
-  if (b < p.count) p.find(b);
-}
-
-// Calls use(x, m, gradient, where that of x is stored, the factors) for the values of a block of an image.
-template <class T, class Use>
-__device__ __forceinline__ void for_each_fogged(FogBackward<T> const& one, unsigned block, Use const& use) {
-  using F = Compute<T>;
-  int const width = int(one.x.width), first = int(block) * kFogPixels,
-            last = min(first + kFogPixels, int(one.x.height) * width);
+  int const width = int(one.x.width), first = int(block) * Pixels,
+            last = min(first + Pixels, int(one.x.height) * width);
+#pragma unroll Pixels == 4 * kLayerThreads ? 4 : 1
   for (int i = first + int(threadIdx.x); i < last; i += kLayerThreads) {
     int const row = i / width, column = i - row * width;
     F const* const layer = one.layer_of(0) + row * one.layer_strides[2] + column * one.layer_strides[3];
@@ -127,6 +100,24 @@ __device__ __forceinline__ void for_each_fogged(FogBackward<T> const& one, unsig
           LayerFactors<F>(one, 0, c));
   }
 }
+
+template <class T>
+__global__ void __launch_bounds__(kLayerThreads) gradients_of_list(__grid_constant__ AddLayerBackwardList<T> const p) {
+  using F = Compute<T>;
+  unsigned block;
+  AddLayerBackward<T> const* const one = sample_of_block(p, block);
+  if (!one) return;
+  for_each_layered<4 * kLayerThreads>(*one, block, [&](F x, F m, F g, T* to, LayerFactors<F> const& factors) {
+    *to = round_to<T>(factors.vjp(x, m, g));
+  });
+}
+
+template <class T>
+__global__ void __launch_bounds__(kLayerThreads) find_fog_factors(__grid_constant__ FogFactors<T> const p) {
+  int const b = int(blockIdx.x * kLayerThreads + threadIdx.x);
+  if (b < p.count) p.find(b);
+}
+
 template <class T>
 __global__ void __launch_bounds__(kLayerThreads) sum_fog_of_list(__grid_constant__ FogBackwardList<T> const p) {
   using F = Compute<T>;
@@ -136,7 +127,7 @@ __global__ void __launch_bounds__(kLayerThreads) sum_fog_of_list(__grid_constant
   F const most = *one->brightest;
   LayerFactors<F> const slopes(one->slopes, F(1));
   double sums[2] = {};
-  for_each_fogged(*one, block, [&](F x, F m, F g, T*, LayerFactors<F> const& factors) {
+  for_each_layered<kFogPixels>(*one, block, [&](F x, F m, F g, T*, LayerFactors<F> const& factors) {
     sums[0] += factors.vjp_of_factors(slopes, x, m, g), sums[1] += x == most;
   });
   store_block_sums<kLayerThreads>(sums, p.sums + 2 * int64_t(blockIdx.x));
@@ -151,7 +142,7 @@ __global__ void __launch_bounds__(kLayerThreads) fog_gradients_of_list(__grid_co
   double const* const sums =
       sum_rows<kLayerThreads, 2>(p.sums + 2 * first, ceil_div(one->x.height * one->x.width, int64_t(kFogPixels)));
   F const most = *one->brightest, share = F(sums[0] / max(sums[1], 1.));
-  for_each_fogged(*one, block, [&](F x, F m, F g, T* to, LayerFactors<F> const& factors) {
+  for_each_layered<kFogPixels>(*one, block, [&](F x, F m, F g, T* to, LayerFactors<F> const& factors) {
     *to = round_to<T>(factors.vjp(x, m, g) + (x == most ? share : F(0)));
   });
 }

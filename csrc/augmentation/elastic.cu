@@ -197,15 +197,16 @@ __global__ void __launch_bounds__(kThreads, 2) blur_noise(__grid_constant__ Elas
   blur_strip<Drawn, Aligned>(p, blockIdx.x, rows);
 }
 
+template <bool Drawn>
 __global__ void __launch_bounds__(kThreads, 2)
     blur_noise_of_list(__grid_constant__ ElasticDisplacementsList const p, int rows) {
   __shared__ __align__(16) unsigned char memory[sizeof(ElasticDisplacements)];
   int const b = p.list.sample_of(int(blockIdx.x));
-  if (threadIdx.x == 0) new (memory) ElasticDisplacements(p.sample(b));
+  auto& one = *reinterpret_cast<ElasticDisplacements*>(memory);
+  if (threadIdx.x == 0) one = p.sample(b);
   __syncthreads();
-  auto const& one = *reinterpret_cast<ElasticDisplacements const*>(memory);
   unsigned const block = blockIdx.x - unsigned(p.list.first[b]);
-  one.width % 4 == 0 ? blur_strip<true, true>(one, block, rows) : blur_strip<true, false>(one, block, rows);
+  one.width % 4 == 0 ? blur_strip<Drawn, true>(one, block, rows) : blur_strip<Drawn, false>(one, block, rows);
 }
 
 // Of planes with so many columns of tiles and rows.
@@ -248,7 +249,7 @@ int elastic_displacements_list(ElasticDisplacementsList const& given, CUstream_s
     blocks += 2 * ceil_div(p.list.width[b], kTileWidth) * ceil_div(p.list.height[b], rows);
     if (blocks > INT32_MAX) return cudaErrorInvalidConfiguration;
   }
-  return launch_strips(blur_noise_of_list, p, blocks, rows, stream);
+  return launch_strips(p.all.noise.x ? blur_noise_of_list<false> : blur_noise_of_list<true>, p, blocks, rows, stream);
 }
 
 bool has_elastic_displacements() { return int64_t(sizeof(ElasticMemory)) <= max_shared_bytes(sizeof(ElasticMemory)); }

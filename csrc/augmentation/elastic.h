@@ -26,7 +26,8 @@ struct ElasticDisplacements {
   double sigma[2];   // not 0: of x and of y, by which the kernel computes the weights
 };
 
-// Maps of a list, in one block of memory, of drawn noise. Those of samples that are not chosen, by the noise, are 0.
+// Maps of a list, in one block of memory, of drawn noise, or of given noise in another block. Those of samples that are
+// not chosen, by the noise, are 0.
 struct ElasticDisplacementsList {
   ElasticDisplacements all;
   filters::SideBlur by_sides;  // the windows of `all` are the largest, or those of all
@@ -37,6 +38,7 @@ struct ElasticDisplacementsList {
     one.noise.skip(b);
     one.noise.batch = 1;
     one.noise.y += int64_t(kMapUnit) * list.begin[b];
+    if (one.noise.x) one.noise.x += int64_t(kMapUnit) * list.begin[b];
     one.height = list.height[b], one.width = list.width[b];
     one.noise.pixels = one.noise.channel_stride = int64_t(one.height) * one.width;
     one.scale[0] = float(by_sides.factor(by_sides.x, one.width, one.height, one.width));

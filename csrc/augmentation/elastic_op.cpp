@@ -180,13 +180,14 @@ Tensor elastic_displacements(Tensor const& noise, std::optional<Tensor> const& k
   return as_layout(result, layout_of(noise));
 }
 
-// Of drawn noise, maps of a list. `like` (B, 0) has the type and the device; the scales are half the width and half the
-// height, less half a pixel each with align_corners, times alpha. Windows are those for images of `unit` pixels along
-// each side, and scale with the images, if it is not 0.
-Tensor elastic_displacements_list(Tensor const& like, Tensor const& keys, std::optional<Tensor> const& seeds,
-                                  std::optional<Tensor> const& chosen, std::vector<int64_t> const& plan, int64_t ky,
-                                  int64_t kx, double sigma_y, double sigma_x, double alpha_x, double alpha_y,
-                                  bool align_corners, int64_t unit, std::vector<int64_t> const& sides) {
+// Of drawn noise, or of given noise, which is packed as they are, maps of a list. `like` (B, 0) has the type and the
+// device; the scales are half the width and half the height, less half a pixel each with align_corners, times alpha.
+// Windows are those for images of `unit` pixels along each side, and scale with the images, if it is not 0.
+Tensor elastic_displacements_list(Tensor const& like, std::optional<Tensor> const& noise, Tensor const& keys,
+                                  std::optional<Tensor> const& seeds, std::optional<Tensor> const& chosen,
+                                  std::vector<int64_t> const& plan, int64_t ky, int64_t kx, double sigma_y,
+                                  double sigma_x, double alpha_x, double alpha_y, bool align_corners, int64_t unit,
+                                  std::vector<int64_t> const& sides) {
   constexpr char const* op = "elastic_displacements_list";
   KV_CHECK(like.dim() == 2 && like.scalar_type() == compute_dtype(like), op,
            ": expected like of shape (B, 0), float32 or float64");
@@ -204,8 +205,15 @@ Tensor elastic_displacements_list(Tensor const& like, Tensor const& keys, std::o
   blur.scales = true;
   blur.less = align_corners ? 1 : 0, blur.unit = unit > 0 ? each : 0;
   if (count > 0 && is_one_size(sides)) blur.x.fix(sides[1]), blur.y.fix(sides[0]);  // of the bits of a batch
-  auto const map_of = [&](int64_t b) {
-    return view_of(result, {1, 2, sides[size_t(2 * b)], sides[size_t(2 * b + 1)]}, block.begins[size_t(b)]);
+  std::optional<Tensor> given;
+  if (noise) {
+    KV_CHECK(noise->dim() == 1 && noise->size(0) == result.size(0) && noise->scalar_type() == like.scalar_type() &&
+                 noise->device() == like.device() && !chosen,
+             op, ": expected packed noise of the type and device of like, 0 of samples that are not chosen");
+    given = dense(*noise);
+  }
+  auto const map_of = [&](Tensor const& of, int64_t b) {
+    return view_of(of, {1, 2, sides[size_t(2 * b)], sides[size_t(2 * b + 1)]}, block.begins[size_t(b)]);
   };
   auto const row = [](std::optional<Tensor> const& of, int64_t b) -> std::optional<Tensor> {
     if (!of || of->size(0) == 1) return of;
@@ -215,6 +223,11 @@ Tensor elastic_displacements_list(Tensor const& like, Tensor const& keys, std::o
 #if defined(KV_CUDA)
   if (like.scalar_type() == ScalarType::Float && count > 0) {
     ElasticBlur const largest = largest_blur(blur, sides);
+    if (!fits_kernel(ScalarType::Float, largest) && given) {
+      Tensors each;
+      for (int64_t b = 0; b < count; ++b) each.push_back(torch::stable::select(map_of(*given, b), 0, 0));
+      return steps::gaussian_blur_of_sides(each, blur, Border::constant);
+    }
     if (!fits_kernel(ScalarType::Float, largest)) {
       Tensor const standard = standard_noise(like);
       return steps::gaussian_blur_of_sides(
@@ -223,16 +236,28 @@ Tensor elastic_displacements_list(Tensor const& like, Tensor const& keys, std::o
     ElasticDisplacementsList p{};
     set_blur(p.all, largest);
     p.by_sides = blur;
-    draw_maps(op, block, result, p, keys, seeds, chosen, plan);
+    if (given) {
+      p.all.noise.x = data_ptr<float const>(*given);
+      draw_maps(op, block, result, p, keys, seeds, chosen, {0, 0, 1, 0});
+    } else {
+      draw_maps(op, block, result, p, keys, seeds, chosen, plan);
+    }
     return result;
   }
 #endif
+  if (given) {
+    for (int64_t b = 0; b < count; ++b) {
+      Tensor const one = map_of(result, b), own = map_of(*given, b);
+      write_displacements(op, &own, nullptr, blur_of_size(blur, one.size(2), one.size(3)), one);
+    }
+    return result;
+  }
   KV_CHECK(plan.size() >= 4, op, ": expected a plan of four to six numbers");
   std::vector<int64_t> own = plan;
   own.resize(6);
   int64_t const first = own[5];
   for (int64_t b = 0; b < count; ++b) {
-    Tensor const one = map_of(b);
+    Tensor const one = map_of(result, b);
     own[5] = first + b;
     std::optional<Tensor> const seed = row(seeds, b);
     NoiseSource const source{op, one, keys, seed, own};
@@ -249,7 +274,8 @@ KV_OPERATOR(elastic_displacements,
             "(Tensor noise, Tensor? keys, Tensor? seeds, int[] plan, int ky, int kx, float sigma_y, "
             "float sigma_x, float scale_x, float scale_y) -> Tensor")
 KV_OPERATOR(elastic_displacements_list,
-            "(Tensor like, Tensor keys, Tensor? seeds, Tensor? chosen, int[] plan, int ky, int kx, float sigma_y, "
+            "(Tensor like, Tensor? noise, Tensor keys, Tensor? seeds, Tensor? chosen, int[] plan, int ky, int kx, "
+            "float sigma_y, "
             "float sigma_x, float alpha_x, float alpha_y, bool align_corners, int unit, SymInt[] size) -> Tensor")
 
 }  // namespace kv::augmentation

@@ -97,15 +97,15 @@ struct CountPhotons {
                                                 FourPixels<T, Vectorized>& four) {
     using F = Compute<T>;
     F const step = p.parameters[b * p.parameter_stride], power = p.parameters[b * p.parameter_stride + 1];
-    int64_t const at = p.offset(b, c) + 4 * block * p.step;
+    float const* const given = p.uniform ? p.numbers(b) + c * p.pixels + 4 * block : nullptr;
     PhiloxWords words{};
-    if (!p.uniform) words = p.source(b).words(p.draw, p.numbered(c, block));
+    if (!given) words = p.source(b).words(p.draw, p.numbered(c, block));
 #pragma unroll
     for (int k = 0; k < 4; ++k) {
       if (k >= four.count) break;
       F const x = read(four.v.v[k]) / p.full_range;
       F const y = shot(
-          x, F(p.uniform ? p.uniform[at + k * p.step] : unit_of(words.w[k])), step, power,
+          x, F(given ? given[k] : unit_of(words.w[k])), step, power,
           [](F base, F exponent) { return ::pow(base, exponent); }, [](F exponent) { return ::exp(exponent); },
           [](F square) { return ::sqrt(square); });
       four.v.v[k] = round_to<T>(y * p.full_range);

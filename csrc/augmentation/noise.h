@@ -34,7 +34,8 @@ struct PixelNoise {
   int64_t const *keys, *seeds;   // on the device; null: `key` is the key, there are no seeds
   int64_t key_stride, seed_stride, parameter_stride, chosen_stride;
   int64_t key;               // or its index, where the keys are on the device
-  float const* uniform;      // of the elements of x, as they lie, in place of the words of photons; or null
+  float const* uniform;      // planes of numbers of each image, one image after the other, in place of words; or null
+  int64_t uniform_planes;    // of each image
   Compute<T> const* values;  // of hit pixels, of each channel, or one with a stride of 0, in place of salt and pepper;
   int64_t value_stride;      // or null
   uint32_t position, draw;
@@ -55,6 +56,13 @@ struct PixelNoise {
   }
   KV_HD bool is_chosen(int64_t b) const { return !chosen || chosen[b * chosen_stride] != 0; }
   KV_HD int64_t offset(int64_t b, int64_t c) const { return b * channels * pixels + c * channel_stride; }
+  // The numbers that are given for sample b.
+  KV_HD float const* numbers(int64_t b) const { return uniform + b * uniform_planes * pixels; }
+  // Leaves out the given numbers of images before number b of a list. Only replays have them, so that the sum is no
+  // matter.
+  KV_HD void skip_numbers(ListedImage const* images, int b) {
+    if (uniform) uniform += uniform_planes * pixels_before(images, b);
+  }
   // Blocks of four pixels in a plane. Planes begin with a block of their own.
   KV_HD int64_t blocks() const { return (pixels + 3) / 4; }
   KV_HD bool has(int flag) const { return form & flag; }
@@ -95,6 +103,7 @@ struct PixelNoiseList {
   KV_HD PixelNoise<T> sample(int b) const {
     PixelNoise<T> one = all;
     one.skip(b);
+    one.skip_numbers(list.images, b);
     one.batch = 1;
     one.x = static_cast<T const*>(list.images[b].data);
     one.y = static_cast<T*>(list.results[b].data);

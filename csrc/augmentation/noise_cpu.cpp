@@ -199,9 +199,10 @@ void shot_noise(PixelNoise<T> const& p, int64_t begin, int64_t end) {
   uint32_t words[kBuffer];
   for_each_chunk(p, begin, end, [&](int64_t b, int64_t c, int64_t first, int count, int64_t at) KV_INLINE {
     F const step = p.parameters[b * p.parameter_stride], power = p.parameters[b * p.parameter_stride + 1];
-    if (!p.uniform) fill_words(p.source(b), p.draw, p.numbered(c, first / 4), count, words);
+    float const* const given = p.uniform ? p.numbers(b) + c * p.pixels + first : nullptr;
+    if (!given) fill_words(p.source(b), p.draw, p.numbered(c, first / 4), count, words);
     for (int i = 0; i < count; ++i) {
-      F const u = p.uniform ? p.uniform[at + i * p.step] : unit_of(words[i]);
+      F const u = given ? given[i] : unit_of(words[i]);
       F const x = load<1>(p.x + at + i * p.step) / p.full_range;
       F const y = shot(
           x, u, step, power, [](F base, F exponent) { return F(__builtin_pow(base, exponent)); },

@@ -87,6 +87,36 @@ void set_images(PixelNoise<T>& n, Tensor const& x, Tensor const& y, Layout layou
   n.channel_stride = last ? 1 : n.pixels, n.step = last ? n.channels : 1;
 }
 
+// Numbers (N,) float32 that are given for the pixels of a list: so many planes of each image, one image after the
+// other.
+struct ListedNumbers {
+  std::optional<Tensor> own;
+  int64_t planes;
+  std::vector<int64_t> const& sides;  // height and width of each image
+
+  ListedNumbers(char const* op, std::optional<Tensor> const& given, int64_t planes, Tensor const& like,
+                std::vector<int64_t> const& sides)
+      : planes(planes), sides(sides) {
+    if (!given) return;
+    KV_CHECK(given->dim() == 1 && given->size(0) == before(sides.size() / 2) &&
+                 given->scalar_type() == ScalarType::Float && given->device() == like.device(),
+             op, ": expected float32 numbers of shape (", before(sides.size() / 2), ",) on the device of images");
+    own = dense(*given);
+  }
+  // Those of the images before number b.
+  int64_t before(size_t b) const {
+    int64_t pixels = 0;
+    for (size_t i = 0; i < b; ++i) pixels += sides[2 * i] * sides[2 * i + 1];
+    return planes * pixels;
+  }
+  // Of the samples from `first` on.
+  template <class T>
+  void set(PixelNoise<T>& n, size_t first) const {
+    n.uniform = own ? data_ptr<float const>(*own) + before(first) : nullptr;
+    n.uniform_planes = planes;
+  }
+};
+
 // Work items of the CPU kernel.
 inline int64_t noise_units(Tensor const& x) {
   return x.numel() ? x.size(0) * ceil_div(x.size(2) * x.size(3), kNoiseChunk) : 0;

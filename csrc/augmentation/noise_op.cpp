@@ -63,13 +63,12 @@ Tensor run_noise(NoiseArguments const& arguments, double salt, Run const& run) {
   Layout const layout = layout_of(arguments.images);
   Tensor const x = dense_in_layout(arguments.images, layout), p = dense(arguments.parameters),
                y = empty_like(x, layout);
-  OptionalTensor const u = arguments.uniform && *arguments.uniform
-                               ? OptionalTensor(dense_in_layout(**arguments.uniform, layout))
-                               : std::nullopt;
+  OptionalTensor const u =
+      arguments.uniform && *arguments.uniform ? OptionalTensor(dense(**arguments.uniform)) : std::nullopt;
   dispatch_floating_and_uint8(arguments.op, x, [&]<class T>(Type<T>) {
     PixelNoise<T> params = arguments.params<T>(p, salt);
     set_images(params, x, y, layout);
-    if (u) params.uniform = data_ptr<float const>(*u);
+    if (u) params.uniform = data_ptr<float const>(*u), params.uniform_planes = x.size(1);
     run(x, params);
   });
   return y;
@@ -123,7 +122,7 @@ template <class Run>
 void run_noise_list(geometry::KeptSizes const& kept, Tensors const& images, Tensor const& parameters,
                     Tensor const& keys, OptionalTensor const& seeds, OptionalTensor const& chosen,
                     std::vector<int64_t> const& plan, double salt, [[maybe_unused]] bool by_pixel, Run const& run,
-                    int further_form = 0, Tensor const* values = nullptr) {
+                    int further_form = 0, Tensor const* values = nullptr, OptionalTensor const& uniform = {}) {
   char const* const op = kept.op;
   Tensor const& like = kept.largest;
   NoiseArguments const arguments{op, like, parameters, keys, seeds, chosen, plan, nullptr, values};
@@ -131,6 +130,7 @@ void run_noise_list(geometry::KeptSizes const& kept, Tensors const& images, Tens
   Tensor const p = dense(parameters);
   Tensors const rows = color::in_pixel_rows(images, kept.layout);
   int64_t const channels = like.size(1);
+  ListedNumbers const numbers(op, uniform, channels, like, kept.sides);
   auto const items_of = [&](geometry::Size size) {
     int64_t const pixels = size.height * size.width;
 #if defined(KV_CUDA)
@@ -148,6 +148,7 @@ void run_noise_list(geometry::KeptSizes const& kept, Tensors const& images, Tens
     kept.for_each_table(list.list, rows, items_of, [&](size_t first) {
       list.all = all;
       list.all.skip(int64_t(first));
+      numbers.set(list.all, first);
       run(like, list, kNoiseChunk * channels);
     });
   });
@@ -206,11 +207,14 @@ Tensors fill_pixels_list(Tensors const& images, Tensor const& parameters, Tensor
 Tensors shot_noise_list(Tensors const& images, Tensor const& parameters, Tensor const& keys,
                         OptionalTensor const& seeds, OptionalTensor const& chosen, OptionalTensor const& uniform,
                         std::vector<int64_t> const& plan) {
-  KV_CHECK(!uniform, "shot_noise_list: expected no uniform numbers");
-  return run_noise_list("shot_noise_list", images, parameters, keys, seeds, chosen, plan, 0, false,
-                        []([[maybe_unused]] Tensor const& like, auto const& p, [[maybe_unused]] int64_t elements) {
-                          KV_RUN(shot_noise_list, like, p, p.list.items, 32 * elements);
-                        });
+  geometry::KeptSizes const kept("shot_noise_list", images);
+  run_noise_list(
+      kept, images, parameters, keys, seeds, chosen, plan, 0, false,
+      []([[maybe_unused]] Tensor const& like, auto const& p, [[maybe_unused]] int64_t elements) {
+        KV_RUN(shot_noise_list, like, p, p.list.items, 32 * elements);
+      },
+      0, nullptr, uniform);
+  return kept.results;
 }
 
 }  // namespace

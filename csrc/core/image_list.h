@@ -89,6 +89,13 @@ struct ListedSamples {
   }
 };
 
+// The pixels of the images before number b.
+KV_HD int64_t pixels_before(ListedImage const* images, int b) {
+  int64_t pixels = 0;
+  for (int i = 0; i < b; ++i) pixels += int64_t(images[i].height) * images[i].width;
+  return pixels;
+}
+
 // On the CPU an item is some rows of a result.
 constexpr int64_t kItemPixels = 4096;
 KV_HD int64_t rows_of_item(int64_t width) { return max(int64_t(1), kItemPixels / width); }

@@ -37,7 +37,7 @@ struct ReadNeighbors {
     int const i = at.row * int(width) + at.column;
     if (!noise.uniform) return moved_by(at, words(source, step, i).w[i % 4]);
     int64_t const pixels = height * width;
-    float const* const u = noise.uniform + 2 * (b * steps + step) * pixels + i;
+    float const* const u = noise.numbers(b) + 2 * step * pixels + i;
     float const range = float(2 * max_delta);
     return moved(at, int(u[0] * range), int(u[pixels] * range));
   }
@@ -49,7 +49,7 @@ struct ReadNeighbors {
 
 KV_KERNEL(read_neighbors, ReadNeighbors)
 
-// Of lists, whose numbers are drawn: `all` is what the samples have in common. Samples that are not chosen, by the
+// Of lists: `all` is what the samples have in common. Samples that are not chosen, by the
 // noise, are copied.
 template <class T>
 struct ReadNeighborsList {
@@ -60,6 +60,7 @@ struct ReadNeighborsList {
     ReadNeighbors<T> one = all;
     auto const y = place_sample(one, list, b);
     one.noise.skip(b);
+    one.noise.skip_numbers(list.images, b);
     one.noise.pixels = y.height * y.width;
     if (!all.noise.is_chosen(b)) one.steps = 0;
     return one;

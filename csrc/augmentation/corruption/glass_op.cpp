@@ -37,7 +37,7 @@ Tensor read_neighbors(Tensor const& images, Tensor const& keys, std::optional<Te
     ReadNeighbors<T> params{};
     source.set(params.noise);
     params.noise.pixels = height * width;
-    params.noise.uniform = u ? data_ptr<float const>(*u) : nullptr;
+    params.noise.uniform = u ? data_ptr<float const>(*u) : nullptr, params.noise.uniform_planes = 2 * steps;
     params.x = data_ptr<T const>(images), params.y = data_ptr<T>(y);
     params.batch = batch, params.channels = images.size(1), params.height = height, params.width = width;
     for (int i = 0; i < 4; ++i) params.x_strides[i] = images.stride(i), params.y_strides[i] = y.stride(i);
@@ -53,14 +53,19 @@ struct ListedMoves {
   std::optional<Tensor> const& chosen;
   NoiseSource source;
   int64_t max_delta, steps;
+  ListedNumbers numbers;
 
-  ListedMoves(char const* op, Tensor const& like, std::optional<Tensor> const& chosen, Tensor const& keys,
+  ListedMoves(geometry::ListSides const& list, std::optional<Tensor> const& chosen, Tensor const& keys,
               std::optional<Tensor> const& seeds, std::optional<Tensor> const& uniform,
               std::vector<int64_t> const& plan, int64_t max_delta, int64_t steps)
-      : like(like), chosen(chosen), source{op, like, keys, seeds, plan}, max_delta(max_delta), steps(steps) {
-    check_chosen(op, chosen, like);
+      : like(list.largest),
+        chosen(chosen),
+        source{list.op, like, keys, seeds, plan},
+        max_delta(max_delta),
+        steps(steps),
+        numbers(list.op, uniform, 2 * steps, like, list.sides) {
+    check_chosen(list.op, chosen, like);
     check_moves(source, max_delta, steps);
-    KV_CHECK(!uniform, op, ": the numbers of lists are drawn");
   }
   // Of the samples from `first` on.
   template <class T>
@@ -69,6 +74,7 @@ struct ListedMoves {
     source.set(all.noise);
     set_chosen(all.noise, chosen);
     all.noise.skip(int64_t(first));
+    numbers.set(all.noise, first);
     all.channels = like.size(1), all.max_delta = int(max_delta), all.steps = int(steps);
     return all;
   }
@@ -79,7 +85,7 @@ Tensors read_neighbors_list(Tensors const& images, std::optional<Tensor> const& 
                             std::optional<Tensor> const& seeds, std::optional<Tensor> const& uniform,
                             std::vector<int64_t> const& plan, int64_t max_delta, int64_t steps) {
   geometry::KeptSizes const kept("read_neighbors_list", images);
-  ListedMoves const moves(kept.op, kept.largest, chosen, keys, seeds, uniform, plan, max_delta, steps);
+  ListedMoves const moves(kept, chosen, keys, seeds, uniform, plan, max_delta, steps);
   dispatch_floating_and_uint8(kept.op, kept.largest, [&]<class T>(Type<T>) {
     ReadNeighborsList<T> p;
     auto const items_of = [](geometry::Size size) { return ceil_div(size.height, rows_of_item(size.width)); };
@@ -97,7 +103,7 @@ Tensors read_neighbors_list_backward(Tensors const& grads, std::optional<Tensor>
                                      std::vector<int64_t> const& plan, int64_t max_delta, int64_t steps) {
   constexpr char const* op = "read_neighbors_list_backward";
   geometry::ListSides const sides(op, grads);
-  ListedMoves const moves(op, sides.largest, chosen, keys, seeds, uniform, plan, max_delta, steps);
+  ListedMoves const moves(sides, chosen, keys, seeds, uniform, plan, max_delta, steps);
   Tensor const& like = sides.largest;
   Tensors const sums = sides.empty(Layout::planar, compute_dtype(like));
   geometry::clear_sums(sums);

@@ -84,7 +84,7 @@ template <class T, class F>
 __device__ __forceinline__ void iso_numbers(PixelNoise<T> const& noise, int64_t b, int64_t pixel, int count, F (&u)[4],
                                             F (&n)[4]) {
   if (noise.uniform) {
-    float const* const maps = noise.uniform + 2 * b * noise.pixels;
+    float const* const maps = noise.numbers(b);
 #pragma unroll
     for (int k = 0; k < 4; ++k)
       if (k < count) u[k] = maps[pixel + k], n[k] = maps[noise.pixels + pixel + k];

@@ -70,6 +70,7 @@ struct IsoNoiseBackwardList : GradientList<IsoNoiseBackward<T>, T> {
     IsoNoiseBackward<T> one = this->all;
     one.select(b);
     PixelNoise<T>& noise = one.noise;
+    noise.skip_numbers(this->images, b);
     noise.batch = 1, noise.pixels = int64_t(this->images[b].height) * this->images[b].width;
     noise.x = static_cast<T const*>(this->images[b].data), noise.y = static_cast<T*>(this->results[b].data);
     one.grad = static_cast<T const*>(this->grads[b].data);

@@ -92,7 +92,7 @@ KV_HD void for_each_pixel(IsoNoise<T> const& p, int64_t begin, int64_t end, Use 
   for (int64_t unit = begin; unit < end; ++unit) {
     int64_t const b = unit / p.chunks, i = unit % p.chunks, first = noise.offset(b, 0);
     IsoSample<F> const sample = iso_sample(p, b);
-    float const* const maps = noise.uniform ? noise.uniform + 2 * b * noise.pixels : nullptr;
+    float const* const maps = noise.uniform ? noise.numbers(b) : nullptr;
     for (int64_t four = p.begin(i); four < p.end(i); four += 4) {
       F u[4], n[4];
       int const count = int(min(p.end(i) - four, int64_t(4)));

@@ -68,7 +68,7 @@ struct IsoBatch {
   IsoNoise<T> params() const {
     PixelNoise<T> noise = a.params<T>(own);
     set_images(noise, x, y, layout);
-    noise.uniform = numbers ? data_ptr<float const>(*numbers) : nullptr;
+    noise.uniform = numbers ? data_ptr<float const>(*numbers) : nullptr, noise.uniform_planes = 2;
     return {noise, data_ptr<double>(sums), chunk, chunks};
   }
 };
@@ -111,7 +111,7 @@ Tensors iso_noise_list(Tensors const& images, Tensor const& parameters, Tensor c
   Tensor const& like = kept.largest;
   IsoArguments const a{{kept.op, like, keys, seeds, plan}, parameters, chosen};
   a.check();
-  KV_CHECK(!maps, kept.op, ": expected no maps");
+  ListedNumbers const numbers(kept.op, maps, 2, like, kept.sides);
   Tensor const own = dense(parameters);
   Tensors const rows = color::in_pixel_rows(images, kept.layout);
   auto const items_of = [](geometry::Size size) { return iso_chunks(size.height * size.width); };
@@ -127,6 +127,7 @@ Tensors iso_noise_list(Tensors const& images, Tensor const& parameters, Tensor c
     kept.for_each_table(p.noise.list, rows, items_of, [&](size_t first) {
       p.noise.all = all;
       p.noise.all.skip(int64_t(first));
+      numbers.set(p.noise.all, first);
       KV_RUN(sum_lightness_list, like, p, p.noise.list.items, 6 * kIsoPixels);
       KV_RUN(iso_noise_list, like, p, p.noise.list.items, 64 * kIsoPixels);
       p.sums += 2 * p.noise.list.items;
@@ -146,7 +147,7 @@ Tensors iso_noise_list_backward(Tensors const& images_and_grads, Tensor const& p
   Tensor const& like = list.like();
   IsoArguments const a{{op, like, keys, seeds, plan}, parameters, chosen};
   a.check();
-  KV_CHECK(!maps, op, ": expected no maps");
+  ListedNumbers const numbers(op, maps, 2, like, list.kept.sides);
   Tensor const own = dense(parameters);
   Tensors const grads = list.in_layout_of_images(given, true);
   auto const items_of = [](Tensor const& x) { return iso_chunks(x.size(1) * x.size(2)); };
@@ -155,7 +156,8 @@ Tensors iso_noise_list_backward(Tensors const& images_and_grads, Tensor const& p
     all.noise = a.params<T>(own);
     all.noise.channels = 3;
     all.noise.channel_stride = 1, all.noise.step = list.kept.interleaved() ? 3 : 1;
-    list.for_each_gradient_table<IsoNoiseBackwardList<T>>(all, grads, items_of, [&](auto& p, size_t) {
+    list.for_each_gradient_table<IsoNoiseBackwardList<T>>(all, grads, items_of, [&](auto& p, size_t first) {
+      numbers.set(p.all.noise, first);
       Tensor const sums = empty({p.items, 2}, like, Layout::planar, ScalarType::Double);
       p.sums = data_ptr<double>(sums);
       KV_RUN(sum_lightness_again, like, p, p.items, 6 * kIsoPixels);
@@ -173,7 +175,8 @@ KV_OPERATOR(iso_noise,
 KV_OPERATOR(iso_noise_backward,
             "(Tensor grad, Tensor images, Tensor parameters, Tensor keys, Tensor? seeds, Tensor? chosen, Tensor? maps,"
             " int[] plan) -> Tensor")
-// The same of images (C, H, W) of different sizes, as a list; without maps.
+// The same of images (C, H, W) of different sizes, as a list. Maps are packed, (N,): two planes of each image, one
+// after the other.
 KV_OPERATOR(
     iso_noise_list,
     "(Tensor[] images, Tensor parameters, Tensor keys, Tensor? seeds, Tensor? chosen, Tensor? maps, int[] plan) "

@@ -121,9 +121,10 @@ inline constexpr Operator<"elastic_displacements",
                                  int64_t kx, double sigma_y, double sigma_x, double scale_x, double scale_y)>
     elastic_displacements{detail::rules::elastic_displacements};
 inline constexpr Operator<"elastic_displacements_list",
-                          Tensor(Tensor like, Tensor keys, OptionalTensor seeds, OptionalTensor chosen, Ints plan,
-                                 int64_t ky, int64_t kx, double sigma_y, double sigma_x, double alpha_x, double alpha_y,
-                                 bool align_corners, int64_t unit, Ints size)>
+                          Tensor(Tensor like, OptionalTensor noise, Tensor keys, OptionalTensor seeds,
+                                 OptionalTensor chosen, Ints plan, int64_t ky, int64_t kx, double sigma_y,
+                                 double sigma_x, double alpha_x, double alpha_y, bool align_corners, int64_t unit,
+                                 Ints size)>
     elastic_displacements_list{no_gradient};
 
 // --- augmentation/erase_op.cpp

@@ -14,6 +14,7 @@ from kvision._dtype import compute_dtype
 from kvision.augmentation.columns import Column
 from kvision.augmentation.engine import Execution, Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
+from kvision.augmentation.lists.pixels import PixelRow
 from kvision.augmentation.lists.shuffle_channels import shuffle_channels_list
 from kvision.augmentation.random_generator.color import (
     ChannelDropoutGenerator,
@@ -33,8 +34,6 @@ Illuminants: TypeAlias = Literal["blackbody", "CIED"]
 
 class _Channels(IntensityAugmentationBase2D, keeps_contract=True):
     """Base of changes of channels."""
-
-    replays_lists = True
 
     def _operates_on(self, dtype: torch.dtype) -> bool:
         return not self._is_customized()
@@ -67,17 +66,8 @@ class Scaling(NamedTuple):
         return make_pass(None, parts=[part]), torch.cat(columns, 1)
 
 
-def apply_to_each(
-    module: IntensityAugmentationBase2D, images: Sequence[Tensor], params: Params, chosen: Tensor | None
-) -> list[Tensor]:
-    """The results of the images of a list, by themselves, with the parameters of all."""
-    rows = [{name: x[b : b + 1] for name, x in params.items()} for b in range(len(images))]
-    each = [module.apply_transform(x[None], own, module.flags)[0] for x, own in zip(images, rows)]
-    return each if chosen is None else [torch.where(c, y, x) for c, y, x in zip(chosen, each, images)]
-
-
 class _ScaledChannels(_Channels, keeps_contract=True):
-    """Base of what scales each channel of an image and adds to it: three by a color program, others in a list image by image."""
+    """Base of what scales each channel of an image and adds to it: three by a color program, others by torch."""
 
     clips: ClassVar[bool]  # the results to [0, 1]
 
@@ -85,7 +75,7 @@ class _ScaledChannels(_Channels, keeps_contract=True):
         like, chosen = like_batch(images), execution.chosen
         params = self._params_on_device(like, execution, for_users=False)
         if like.shape[1] != 3:
-            return apply_to_each(self, images, params, chosen)
+            return self._list_by_torch(images, params, chosen)
         return self._scaling(like, params).on_list(images, chosen)
 
     def _factors_and_offsets(self, like: Tensor, params: Params) -> tuple[Tensor, Tensor]:
@@ -104,6 +94,9 @@ class _ScaledChannels(_Channels, keeps_contract=True):
 
     def _by_torch(self, input: Tensor, params: Params) -> Tensor:
         raise NotImplementedError(f"{type(self).__name__}._by_torch")
+
+    def _list_by_torch(self, images: Sequence[Tensor], params: Params, chosen: Tensor | None) -> list[Tensor]:
+        raise NotImplementedError(f"{type(self).__name__}._list_by_torch")
 
 
 class RandomChannelShuffle(_Channels, keeps_contract=True):
@@ -191,9 +184,19 @@ class RandomChannelDropout(_ScaledChannels, keeps_contract=True):
         return kept, (1 - kept) * (round(255 * self.fill_value) / 255 if is_bytes else self.fill_value)
 
     def _by_torch(self, input: Tensor, params: Params) -> Tensor:
-        value = round(255 * self.fill_value) if input.dtype == torch.uint8 else self.fill_value
         dropped = _planes(input, params["channel_idx"])
-        return input.flatten(0, 1).index_fill(0, dropped, value).view(input.shape)
+        return input.flatten(0, 1).index_fill(0, dropped, self._value(input.dtype)).view(input.shape)
+
+    def _value(self, dtype: torch.dtype) -> float:
+        """The value in the units of images."""
+        return round(255 * self.fill_value) if dtype == torch.uint8 else self.fill_value
+
+    def _list_by_torch(self, images: Sequence[Tensor], params: Params, chosen: Tensor | None) -> list[Tensor]:
+        row, channels = PixelRow(images), params["channel_idx"]
+        dropped = torch.zeros(len(images), images[0].shape[0], dtype=torch.bool, device=channels.device)
+        dropped = dropped.scatter(1, channels, True)
+        dropped = dropped if chosen is None else dropped & chosen[:, None]
+        return row.split(row.of(images).masked_fill(row.of_channels(dropped), self._value(images[0].dtype)))
 
 
 def _planes(images: Tensor, channels: Tensor) -> Tensor:
@@ -265,3 +268,6 @@ class RandomPlanckianJitter(_ScaledChannels, keeps_contract=True):
             f"RandomPlanckianJitter: expected images with 3 channels, got {tuple(input.shape)}"
             f"{_check.channels_advice(input.shape)}"
         )
+
+    def _list_by_torch(self, images: Sequence[Tensor], params: Params, chosen: Tensor | None) -> list[Tensor]:
+        return list(self._by_torch(like_batch(images), params))

@@ -13,12 +13,15 @@ from kvision import _check
 from kvision._modes import BORDER
 from kvision._ops import register
 from kvision.augmentation.keys import flatten_draws
+from kvision.augmentation.lists.pixels import PixelRow, given_maps
+from kvision.augmentation.lists.sides import rows_on_device
 from kvision.augmentation.maps import vector
-from kvision.augmentation.noise import PixelNoise, uniform_noise
+from kvision.augmentation.noise import NO_KEY, PixelNoise, uniform_noise
 from kvision.filters.kernels import sigmas
 from kvision.filters.smoothing import gaussian
-from kvision.geometry.transform.lists.arguments import row
-from kvision.geometry.transform.lists.remap_list import packed, packed_size
+from kvision.geometry.transform.lists.arguments import like_batch, row
+from kvision.geometry.transform.lists.kept_sizes import Operation
+from kvision.geometry.transform.lists.remap_list import packed, packed_size, unpacked
 
 # Arguments of the operator: noise (B, 2, H, W) in [-1, 1]; keys, seeds and plan of noise.py, or None, None and an empty list;
 # height and width of the window of the blur; its standard deviations along y and x; the scales of x and y. With keys the noise is
@@ -50,20 +53,30 @@ _elastic_displacements = register(
 )
 
 
-# Arguments of the operator on lists: the type and the device (B, 0); keys; seeds; (B,) float32 that is 0 for maps of 0, or None;
-# the plan; the window and its deviations; alpha of x and y; whether half the sides are those between the centers of pixels; the
-# side of the images that the window is for, or 0 for all images; height and width of each image.
+# Arguments of the operator on lists: the type and the device (B, 0); packed noise, or None if it is drawn; keys; seeds; (B,)
+# float32 that is 0 for maps of 0, or None; the plan; the window and its deviations; alpha of x and y; whether half the sides are
+# those between the centers of pixels; the side of the images that the window is for, or 0 for all images; height and width of
+# each image.
 
 
 def _list_reference(
-    like: Tensor, keys: Tensor, seeds: Tensor | None, chosen: Tensor | None, plan: Sequence[int], *rest: Any
+    like: Tensor,
+    noise: Tensor | None,
+    keys: Tensor,
+    seeds: Tensor | None,
+    chosen: Tensor | None,
+    plan: Sequence[int],
+    *rest: Any,
 ) -> Tensor:
     ky, kx, sigma_y, sigma_x, *alpha, align_corners, unit, sides = rest
-    first, each = [*plan, 0, 0][5], []
+    given, each = None if noise is None else unpacked(noise, sides), []
     for b, (h, w) in enumerate(zip(sides[::2], sides[1::2])):
-        own_plan = [*plan[:4], 0, first + b]
         blur, scale = blur_and_scale((ky, kx, sigma_y, sigma_x), alpha, align_corners, unit, h, w)
-        own = _reference(like.new_empty(1, 2, h, w), keys, row(seeds, b), own_plan, *blur, *scale)[0]
+        if given is None:
+            source = keys, row(seeds, b), [*plan[:4], 0, [*plan, 0, 0][5] + b]
+            own = _reference(like.new_empty(1, 2, h, w), *source, *blur, *scale)[0]
+        else:
+            own = _reference(given[b][None], None, None, [], *blur, *scale)[0]
         each.append(own if chosen is None else torch.where(chosen[b if len(chosen) > 1 else 0] != 0, own, 0.0))
     return packed(each)
 
@@ -137,8 +150,8 @@ def elastic_displacements(
 
 
 def elastic_displacements_of_list(
-    source: PixelNoise,
-    blur: tuple[int, int, float, float],
+    source: PixelNoise | Sequence[Tensor],
+    blur: tuple[int, int, Any, Any],
     alpha: tuple[float, float],
     align_corners: bool,
     unit: int,
@@ -146,11 +159,42 @@ def elastic_displacements_of_list(
     like: Tensor,
     chosen: Tensor | None,
 ) -> Tensor:
-    """The maps of a list of drawn noise, for height and width of each image, in the type of `like` (B, 0); 0 where not `chosen`.
+    """The maps of a list of noise, for height and width of each image, in the type of `like` (B, 0); 0 where not `chosen`.
 
-    `unit` is that of blur_and_scale.
+    The noise is drawn, or given, (2, H, W) of each image, 0 where these are not chosen. `unit` is that of blur_and_scale.
     """
-    keys, seeds, _, plan = source.arguments()
-    arguments = (keys, seeds, chosen, list(plan), *blur, *alpha, align_corners, unit, list(sides))
-    y: Tensor = _elastic_displacements_list(like, *arguments)
+    if blur[3] is None:
+        return _blurred_by_tensor(source, blur, alpha, align_corners, unit, sides, like, chosen)
+    settings = (*blur, *alpha, align_corners, unit, list(sides))
+    if isinstance(source, PixelNoise):
+        keys, seeds, _, plan = source.arguments()
+        y: Tensor = _elastic_displacements_list(like, None, keys, seeds, chosen, list(plan), *settings)
+    else:
+        y = _elastic_displacements_list(like, packed(source), NO_KEY, None, None, [], *settings)
     return y
+
+
+def _blurred_by_tensor(
+    source: PixelNoise | Sequence[Tensor],
+    blur: tuple[int, int, Any, Any],
+    alpha: tuple[float, float],
+    align_corners: bool,
+    unit: int,
+    sides: Sequence[int],
+    like: Tensor,
+    chosen: Tensor | None,
+) -> Tensor:
+    """The same of standard deviations in a tensor, which may need a gradient."""
+    sizes = list(zip(sides[::2], sides[1::2]))
+    if isinstance(source, PixelNoise):
+        source = source.symmetric_list([(2, *size) for size in sizes], [1.0] * len(sizes))
+    noise = given_maps(source, like.device, like.dtype, chosen)
+    each = [blur_and_scale(blur, alpha, align_corners, unit, *size) for size in sizes]
+    if unit:  # windows of their own
+        smooth = [gaussian.gaussian_blur2d(x[None], own[:2], own[2], "constant")[0] for x, (own, _) in zip(noise, each)]
+    else:
+        arguments = gaussian.blur_arguments("RandomElasticTransform", like_batch(noise), blur[:2], blur[2], "constant")
+        smooth = Operation(gaussian._gaussian_blur2d, arguments[1:]).on_list(noise)
+    rows = torch.tensor([scales for _, scales in each], dtype=torch.float64, device="cpu")
+    row = PixelRow(smooth)
+    return packed(row.split(row.of(smooth) * row.of_channels(rows_on_device(rows, like, like.dtype))))

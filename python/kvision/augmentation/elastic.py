@@ -19,6 +19,7 @@ from kvision.augmentation.displacements import (
 from kvision.augmentation.distortion.displacement_map import MapFormula
 from kvision.augmentation.distortion.distortion_base import MapAugmentation
 from kvision.augmentation.engine import Execution, Params
+from kvision.augmentation.lists.pixels import given_maps
 from kvision.augmentation.noise import PixelNoise, noise_plan
 from kvision.augmentation.random_generator.elastic import ElasticGenerator, FisheyeGenerator, ThinPlateSplineGenerator
 from kvision.augmentation.ranges import Numbers
@@ -117,13 +118,18 @@ class RandomElasticTransform(MapAugmentation, keeps_contract=True):
 
     @property
     def _has_maps_of_lists(self) -> bool:
-        return blur_settings(self.flags["kernel_size"], self.flags["sigma"])[3] is not None
+        is_tensor = blur_settings(self.flags["kernel_size"], self.flags["sigma"])[3] is None
+        return not (is_tensor and self.flags["scale_window"])  # whose windows differ by image
 
     def _maps_of_list(self, sides: Sequence[int], execution: Execution, like: Tensor) -> Tensor:
-        chosen = execution.chosen
-        source = self._pixel_noise(execution, execution.redraw, like.device)
+        chosen, given = execution.chosen, execution.params
+        noise: Any
+        if given is None:
+            noise = self._pixel_noise(execution, execution.redraw, like.device)
+        else:
+            noise = given_maps(given["noise"], like.device, like.dtype, chosen)
         return elastic_displacements_of_list(
-            source, *self._settings(self.flags), sides, like, None if chosen is None else chosen.float()
+            noise, *self._settings(self.flags), sides, like, None if chosen is None else chosen.float()
         )
 
     def displacements(self, shape: tuple[int, ...], params: Params, flags: dict[str, Any], like: Tensor) -> Tensor:

@@ -12,6 +12,7 @@ from kvision._constants import constant
 from kvision._dtype import compute_dtype
 from kvision._list_ops import ListOperator
 from kvision._ops import Operator, match_layout, register, saturate_to_byte
+from kvision.augmentation.lists.pixels import PixelRow
 from kvision.augmentation.noise import UNIT, PixelNoise, of_sample_of_list, uniform_noise
 from kvision.geometry.transform.lists.arguments import fake_results, like_batch, row, sizes
 from kvision.geometry.transform.lists.kept_sizes import Operation, register_list
@@ -188,3 +189,15 @@ def fill_with_noise(images: Sequence[Tensor], parts: Tensor, noise: PixelNoise) 
     like = like_batch(images)
     parameters = constant(((0.0, 1.0),), like, compute_dtype(like))
     return list(fill_with_noise_list(images, parts, parameters, keys, seeds, plan))
+
+
+def fill_with_maps(
+    images: Sequence[Tensor], erase: Callable[[list[Tensor], Tensor], Sequence[Tensor]], maps: Any
+) -> list[Tensor]:
+    """Images of a list with maps in [0, 1] where `erase` sets images to values (1, 1)."""
+    row = PixelRow(images)
+    x = row.of(images)
+    marks = row.of(erase(row.split(torch.zeros_like(x, dtype=torch.uint8)), constant(((1.0,),), x, torch.float32)))
+    values = row.of_maps(maps).to(compute_dtype(x))
+    values = (255 * values).round() if x.dtype == torch.uint8 else values
+    return row.split(torch.where(marks != 0, values.to(x.dtype), x))

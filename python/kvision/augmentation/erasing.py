@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
@@ -10,7 +10,7 @@ from torch import Tensor
 
 from kvision._dtype import compute_dtype
 from kvision.augmentation.engine import Execution, Params
-from kvision.augmentation.erase import erase_rectangles, erased_where, fill_with_noise, is_erased
+from kvision.augmentation.erase import erase_rectangles, erased_where, fill_with_maps, fill_with_noise, is_erased
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
 from kvision.augmentation.lists.masks import filled_masks
 from kvision.augmentation.random_generator.erase import RectangleEraseGenerator
@@ -42,7 +42,7 @@ class RandomErasing(IntensityAugmentationBase2D, keeps_contract=True):
         tensor(12.)
     """
 
-    keeps_unchosen = replays_lists = True
+    keeps_unchosen = True
 
     def __init__(
         self,
@@ -78,6 +78,8 @@ class RandomErasing(IntensityAugmentationBase2D, keeps_contract=True):
     def _run_list(self, images: Sequence[Tensor], execution: Execution) -> list[Tensor]:
         like = like_batch(images)
         params = self._drawn_params(like, execution)
+        if self._param_generator.per_pixel and execution.params is not None:
+            return fill_with_maps(images, self._erasing_mask(like, execution), params["values"])
         if self._param_generator.per_pixel:
             noise = self._pixel_noise(execution, execution.redraw, like.device)
             return fill_with_noise(images, self._boxes(params, tuple(like.shape)), noise)
@@ -95,8 +97,13 @@ class RandomErasing(IntensityAugmentationBase2D, keeps_contract=True):
         return boxes, values * 255 if like.dtype == torch.uint8 else values
 
     def _move_mask_list(self, masks: list[Tensor], execution: Execution, fill: Any) -> list[Tensor] | None:
-        boxes = self._boxes(self._drawn_params(like_batch(masks), execution), execution.shape)
-        return filled_masks(masks, fill or 0, lambda x, value: Operation(erase_rectangles, (boxes, value)).on_list(x))
+        return filled_masks(masks, fill or 0, self._erasing_mask(like_batch(masks), execution))
+
+    def _erasing_mask(self, like: Tensor, execution: Execution) -> Callable[[list[Tensor], Tensor], list[Tensor]]:
+        """What sets the rectangles of images of a list to values (1, 1)."""
+        boxes = self._boxes(self._drawn_params(like, execution), execution.shape)
+        chosen = None if execution.params is None else execution.chosen
+        return lambda x, value: erased_where(Operation(erase_rectangles, (boxes, value)), chosen).on_list(x)
 
     def transform_masks(self, masks: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
         if not execution.applied:

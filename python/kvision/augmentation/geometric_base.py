@@ -242,7 +242,7 @@ class GeometricAugmentationBase2D(GeometricAugmentation, RigidAffineAugmentation
 class AntialiasedByMatrix(GeometricAugmentationBase2D):
     """Base of augmentations by `matrix_transforms` that read images as antialiased warps do where their flag says so."""
 
-    warps_lists_by_matrix = replays_lists = True
+    warps_lists_by_matrix = True
 
     def _set_antialias(self, antialias: bool) -> None:
         op = type(self).__name__

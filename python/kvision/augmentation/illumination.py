@@ -11,7 +11,9 @@ from kvision._dtype import compute_dtype
 from kvision.augmentation.corruption.layer import layered
 from kvision.augmentation.corruption.layer_base import LayerAugmentation
 from kvision.augmentation.engine import Execution, Params
+from kvision.augmentation.lists.pixels import given_maps
 from kvision.augmentation.lists.sides import sides_of_list
+from kvision.augmentation.maps import as_batch
 from kvision.augmentation.random_generator.illumination import (
     GaussianIlluminationGenerator,
     IlluminationGenerator,
@@ -33,6 +35,8 @@ class Illumination(LayerAugmentation, keeps_contract=True):
         return _added(params["gradient"].to(like.device, compute_dtype(like)))
 
     def _operation_on_list(self, images: Sequence[Tensor], like: Tensor, execution: Execution) -> Operation:
+        if execution.params is not None:
+            return _added(as_batch(given_maps(execution.params["gradient"], like.device, compute_dtype(like))))
         assert execution.columns is not None
         light = self._param_generator._light(execution.columns.values, *sides_of_list(images))
         return _added(light[:, None].to(compute_dtype(like)))

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from kvision._clamp import clamp
-from kvision._constants import constant, on_device
+from kvision._constants import constant
 from kvision._dtype import compute_dtype
 from kvision._limits import NOISE_BY_CHANNEL as BY_CHANNEL
 from kvision._limits import NOISE_CLAMP as CLAMP
@@ -27,6 +27,7 @@ from kvision._list_ops import ListOperator
 from kvision._ops import Operator, match_layout, register, saturate_to_byte
 from kvision.augmentation.draws import MAX_DRAWS, philox, unit
 from kvision.augmentation.keys import Keys, flatten_draws
+from kvision.augmentation.lists.pixels import PixelRow, unpacked_maps
 from kvision.augmentation.lists.sides import rows_on_device
 from kvision.geometry.transform.lists.arguments import fake_results, row, sizes
 from kvision.geometry.transform.lists.kept_sizes import Operation, register_list
@@ -327,18 +328,34 @@ def of_sample_of_list(
     return row(parameters, b), keys, row(seeds, b), row(chosen, b), own
 
 
-def of_sample_without_maps(
+# Operators that may be given their numbers take those of a list as `packed_maps` gives them.
+
+
+def of_sample_with_maps(
     b: int,
     parameters: Tensor,
     keys: Tensor,
     seeds: Tensor | None,
     chosen: Tensor | None,
-    maps: None,
+    maps: Sequence[Tensor | None],
     plan: Sequence[int],
 ) -> tuple[Any, ...]:
-    """The same of operators that may be given their numbers: those of lists draw them."""
+    """The same with maps of each image."""
     *own, own_plan = of_sample_of_list(b, parameters, keys, seeds, chosen, plan)
-    return *own, None, own_plan
+    return *own, maps[b], own_plan
+
+
+def with_maps_of_each(images: Sequence[Tensor], *args: Any, planes: int | None = None) -> tuple[Any, ...]:
+    """The arguments of a list with the maps of each image, of so many planes, default: its channels, in place of packed ones."""
+    *others, maps, plan = args
+    return *others, unpacked_maps(maps, images, planes or images[0].shape[0]), plan
+
+
+def keeping_unchosen(
+    chosen: Tensor, parameters: Tensor, keys: Tensor, seeds: Tensor | None, _: Any, *rest: Any
+) -> tuple[Any, ...]:
+    """The arguments of noise that leaves images of a list which are not `chosen`, (B,), as they are."""
+    return parameters, keys, seeds, chosen, *rest
 
 
 def _salt_and_pepper_gradients(needs: Sequence[bool], grad: Tensor, images: Tensor, *args: Any) -> list[Tensor | None]:
@@ -359,24 +376,14 @@ def _register_list(name: str, operator: str) -> None:
         form = _form(plan)
         if not form & (MULTIPLY | CLAMP):
             return list(grads)
-        # All pixels as one row: so many operations of torch for any number of images.
-        counts = [x.numel() for x in images]
-        total, dtype = sum(counts), compute_dtype(grads[0])
-        own_counts = on_device(torch.tensor(counts, device="cpu"), grads[0].device)
-
-        def row_of(each: Sequence[Tensor]) -> Tensor:
-            return torch.cat([x.reshape(-1) for x in each]).to(dtype)
-
-        def of_pixels(numbers: Tensor) -> Tensor:
-            return torch.repeat_interleave(numbers.expand(len(counts)), own_counts, output_size=total)
-
-        zeros = torch.zeros(total, dtype=dtype, device=grads[0].device).split(counts)
-        noise = of_list([z.view(x.shape) for z, x in zip(zeros, images)], *_noise_alone(parameters, *rest))
+        row, dtype = PixelRow(images), compute_dtype(grads[0])
+        own_grads, own_images = row.of(grads).to(dtype), row.of(images).to(dtype)
+        noise = of_list(row.split(torch.zeros_like(own_grads)), *_noise_alone(parameters, *rest))
         mean, scale = parameters.unbind(1)
-        term = of_pixels(mean) + of_pixels(scale) * row_of(noise)
-        chooses = constant((1.0,), parameters) if chosen is None else of_pixels(chosen)
-        row, _ = _gradients_of_added(row_of(grads), row_of(images), term, chooses != 0, form)
-        return [g.view(x.shape) for g, x in zip(row.to(grads[0].dtype).split(counts), images)]
+        term = row.of_images(mean) + row.of_images(scale) * row.of(noise)
+        chooses = constant((1.0,), parameters) if chosen is None else row.of_images(chosen)
+        of_row, _ = _gradients_of_added(own_grads, own_images, term, chooses != 0, form)
+        return row.split(of_row.to(grads[0].dtype))
 
     of_list = register_list(
         name, _ADDED[operator], of_sample_of_list, partial(_noise_backward, operator), of_images=of_images
@@ -388,7 +395,7 @@ _register_list("uniform_noise_list", "uniform_noise")
 _salt_and_pepper_list = register_list(
     "salt_and_pepper_list", salt_and_pepper, of_sample_of_list, _salt_and_pepper_gradients, of_images=_all_pepper
 )
-register_list("shot_noise_list", shot_noise, of_sample_without_maps)
+register_list("shot_noise_list", shot_noise, of_sample_with_maps, kept=keeping_unchosen, by_image=with_maps_of_each)
 
 
 # Values (C,), or (1,), of pixels that are hit, in the units of the images, in place of salt and pepper.

@@ -14,9 +14,9 @@ from kvision._dtype import compute_dtype
 from kvision.augmentation.corruption.layer import layered
 from kvision.augmentation.corruption.layer_base import LayerAugmentation
 from kvision.augmentation.engine import Execution, Params
+from kvision.augmentation.lists.drawn_layers import plasma_of_list
 from kvision.augmentation.random_generator.plasma import PlasmaGenerator
 from kvision.augmentation.ranges import Numbers
-from kvision.geometry.transform.lists.arguments import sizes
 from kvision.geometry.transform.lists.kept_sizes import Operation
 
 __all__ = ["RandomPlasmaBrightness", "RandomPlasmaContrast", "RandomPlasmaShadow"]
@@ -35,10 +35,8 @@ class PlasmaAugmentation(LayerAugmentation, keeps_contract=True):
         return self._layered(params["plasma"].to(like.device, compute_dtype(like)), params)
 
     def _operation_on_list(self, images: Sequence[Tensor], like: Tensor, execution: Execution) -> Operation:
-        assert execution.columns is not None
-        values, noise = execution.columns.values, self._pixel_noise(execution, execution.redraw, like.device)
-        plasma = self._param_generator.plasma(values, like.shape[1], sizes(images), noise)
-        return self._layered(plasma.to(compute_dtype(like)), self._named(values, execution))
+        plasma = plasma_of_list(self, images, like, execution)
+        return self._layered(plasma, self._drawn_params(like, execution))
 
 
 class RandomPlasmaBrightness(PlasmaAugmentation, keeps_contract=True):

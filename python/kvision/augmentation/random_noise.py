@@ -11,6 +11,7 @@ from torch import Tensor
 from kvision._dtype import compute_dtype
 from kvision.augmentation.engine import Execution, Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
+from kvision.augmentation.lists.replays import replay_pixels
 from kvision.augmentation.noise import gaussian_noise, salt_and_pepper
 from kvision.augmentation.random_generator.noise import GaussianNoiseGenerator, SaltAndPepperGenerator
 from kvision.augmentation.ranges import Numbers
@@ -24,29 +25,13 @@ __all__ = ["RandomGaussianNoise", "RandomSaltAndPepperNoise"]
 class _AddedNoise(IntensityAugmentationBase2D, keeps_contract=True):
     """Noise that is drawn where it is added."""
 
-    fuses_noise = replays_lists = replays_pixels = True
+    fuses_noise = True
     _of_pixels: ClassVar[tuple[str, ...]]  # the names of the parameters of each pixel
 
     def _run_list(self, images: Sequence[Tensor], execution: Execution) -> list[Tensor]:
-        given, results = execution.params, list(images)
-        if given is None:
+        if execution.params is None:
             return super()._run_list(images, execution)
-        rows = [i for i, is_chosen in enumerate((given["batch_prob"] > 0.5).tolist()) if is_chosen]
-        if not rows:
-            return results
-        chosen, params = [images[i] for i in rows], dict[str, Any]()
-        for name in self._of_pixels:
-            value = given[name]
-            each = value if isinstance(value, list) else value.split(1)
-            params[name] = torch.cat([each[i].expand(1, *x.shape).flatten() for i, x in zip(rows, chosen)])[
-                None, None, None
-            ]
-        # Pixels of all images are one row, as each becomes what its parameters say.
-        row = torch.cat([x.flatten() for x in chosen])[None, None, None]
-        y = self._run(row, Execution(tuple(row.shape), params=params), self.flags).flatten()
-        for i, x, pixels in zip(rows, chosen, y.split([x.numel() for x in chosen])):
-            results[i] = pixels.view(x.shape)
-        return results
+        return replay_pixels(self, images, execution.params, self._of_pixels)
 
 
 class RandomGaussianNoise(_AddedNoise, keeps_contract=True):

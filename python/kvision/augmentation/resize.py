@@ -61,7 +61,7 @@ class Resize(GeometricAugmentationBase2D):
         tensor([[[[1.0000, 1.5000, 2.0000]]]])
     """
 
-    whole_batch = replays_lists = True
+    whole_batch = True
 
     def __init__(
         self,
@@ -213,7 +213,7 @@ class RandomScale(GeometricAugmentationBase2D):
         torch.Size([2, 3, 4, 5])
     """
 
-    whole_batch = replays_lists = True
+    whole_batch = True
     has_known_size = False
 
     def __init__(

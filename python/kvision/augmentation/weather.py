@@ -64,10 +64,8 @@ class RandomRain(LayerAugmentation, keeps_contract=True):
         return self._rain(like, params, params["coordinates_factor"], like.shape[-2:], like.shape[-2:])
 
     def _operation_on_list(self, images: Sequence[Tensor], like: Tensor, execution: Execution) -> Operation:
-        assert execution.columns is not None
-        values, noise = execution.columns.values, self._pixel_noise(execution, execution.redraw, like.device)
-        positions = self._param_generator.pixel_params(values, tuple(like.shape), noise)["coordinates_factor"]
-        return self._rain(like, self._named(values, execution), positions, sizes(images), like.shape[-2:])
+        params = self._params_on_device(like, execution, for_users=False)
+        return self._rain(like, params, params["coordinates_factor"], sizes(images), like.shape[-2:])
 
     def _rain(
         self, like: Tensor, params: Params, positions: Tensor, sides: Sequence[int], smallest: Sequence[int]

@@ -4,7 +4,8 @@ import pytest
 import torch
 
 from augmentation.container.test_list_launches import Calls, Launches
-from augmentation.test_lists import pictures
+from augmentation.test_lists import pictures, seeds_of
+from benchmarks.sample_calls.augmentations import IMAGES
 from kvision import augmentation as A
 
 
@@ -126,3 +127,82 @@ def test_replays_of_many_sizes_take_as_many_launches_as_of_few(augmentation, dev
         counts.append(counted.count)
         assert all(torch.allclose(a, b, atol=1e-5) for a, b in zip(replayed, results))
     assert counts[1] == counts[0]
+
+
+def _frost(**options):
+    return A.RandomFrost(torch.rand(3, 64, 64, generator=torch.Generator().manual_seed(0)), **options)
+
+
+def _corruption(name):
+    texture = torch.rand(3, 64, 64, generator=torch.Generator().manual_seed(0)) if name == "frost" else None
+    return lambda p: A.CommonCorruption(name, 2, texture, p=p)
+
+
+REPLAYED = {case.name: lambda p, case=case: case.make(p=p) for case in IMAGES}
+REPLAYED |= {f"corruption {name}": _corruption(name) for name in A.CommonCorruption.NAMES}
+REPLAYED |= {
+    "RandomFrost": lambda p: _frost(p=p),
+    "elastic by sides": lambda p: A.RandomElasticTransform((13, 13), (4.0, 4.0), scale_window=True, p=p),
+    "elastic by a tensor": lambda p: A.RandomElasticTransform((5, 5), torch.tensor([[2.0, 3.0]]), p=p),
+    "wide elastic": lambda p: A.RandomElasticTransform((71, 71), (4.0, 4.0), p=p),
+    "pixels of colors": lambda p: A.PixelDropout(0.3, drop_value=(0.1, 0.2, 0.3), p=p),
+    "pixels of noise": lambda p: A.PixelDropout(0.3, True, "random", p=p),
+    "factors of pixels": lambda p: A.MultiplicativeNoise(elementwise=True, p=p),
+    "factors of channels": lambda p: A.MultiplicativeNoise(per_channel=True, p=p),
+    "erased by noise": lambda p: A.RandomErasing(value="random", p=p),
+    "holes of noise": lambda p: A.CoarseDropout(fill="random", p=p),
+    "units of noise": lambda p: A.GridDropout(0.4, unit_size_range=(4, 9), fill="random", p=p),
+    "lines of noise": lambda p: A.GridMask(fill="random", p=p),
+    "mud": lambda p: A.Spatter(mode="mud", p=p),
+    "motion of sizes": lambda p: A.RandomMotionBlur((3, 9), 20.0, 0.5, p=p),
+    "affine in pieces": lambda p: A.PiecewiseAffine(nb_rows_range=(2, 5), nb_cols_range=(3, 4), p=p),
+}
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.uint8], ids=str)
+@pytest.mark.parametrize("name", REPLAYED)
+def test_replays_are_those_of_each_image_in_the_launches_of_a_batch(name, dtype, device, backend):
+    images = pictures(device, [(26 + i, 40 - i) for i in range(9)], dtype)
+    augment = REPLAYED[name](0.5)
+    augment = REPLAYED[name](1.0) if augment.whole_batch else augment  # which a chance would give some images
+    counts = []
+    for number in (7, 9):
+        some = images[:number]
+        results = augment(some, seed=seeds_of(some))
+        params = augment._params
+        augment(some, params=params)  # makes plans
+        with Launches() as counted:
+            replayed = augment(some, params=params)
+        counts.append(counted.count)
+        exact = device == "cpu" and backend != "reference"
+        assert all(
+            torch.equal(a, b) if exact else torch.allclose(a, b, atol=1e-4 if dtype.is_floating_point else 1)
+            for a, b in zip(replayed, results)
+        )
+    is_drawn_by_size = "otion" in name  # one launch for each size of windows
+    assert backend == "reference" or is_drawn_by_size or counts[0] == counts[1]
+
+
+def test_gradients_pass_through_replays(device):
+    images = [x.requires_grad_() for x in pictures(device, [(26 + i, 40 - i) for i in range(4)])]
+    for name in (
+        "ShotNoise",
+        "ISONoise",
+        "GlassBlur",
+        "SpeckleNoise",
+        "RandomFog",
+        "pixels of noise",
+        "elastic by a tensor",
+    ):
+        augment, alone = REPLAYED[name](1.0), REPLAYED[name](1.0)
+        augment(images, seed=seeds_of(images))
+        params = augment._params
+        results = augment(images, params=params)
+        if not results[0].requires_grad:
+            continue
+        grads = torch.autograd.grad(sum(y.square().sum() for y in results), images)
+        for b, x in enumerate(images):
+            own = {key: value[b] if isinstance(value, list) else value[b : b + 1] for key, value in params.items()}
+            del own["forward_input_shape"]
+            expected = torch.autograd.grad(alone(x[None], params=own).square().sum(), x)[0]
+            assert torch.allclose(grads[b], expected, atol=1e-4), name

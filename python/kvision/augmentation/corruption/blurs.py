@@ -18,6 +18,7 @@ from kvision.augmentation.corruption.moved import sum_of_moved
 from kvision.augmentation.engine import Execution, Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
 from kvision.augmentation.lists import filter_lists
+from kvision.augmentation.lists.pixels import packed_maps
 from kvision.augmentation.lists.sides import sides_of
 from kvision.augmentation.random_generator.mapped import MappedGenerator
 from kvision.augmentation.ranges import Numbers
@@ -268,7 +269,10 @@ class GlassBlur(IntensityAugmentationBase2D, keeps_contract=True):
         return glass(like, noise, self.sigma, self.max_delta, self.iterations)
 
     def _operation_on_list(self, images: Sequence[Tensor], like: Tensor, execution: Execution) -> Operations:
-        return self._operation(smallest_batch(images), self._params_on_device(like, execution, for_users=False))
+        params = self._params_on_device(like, execution, for_users=False)
+        if "_noise" not in params:
+            params["offsets"] = packed_maps(params["offsets"], images, 2 * self.iterations)
+        return self._operation(smallest_batch(images), params)
 
     def _operates_on(self, dtype: torch.dtype) -> bool:
         return self.max_delta <= MAX_DELTA and super()._operates_on(dtype)

@@ -22,7 +22,7 @@ from kvision.augmentation.corruption.fog import FogOfList
 from kvision.augmentation.corruption.glass import Moves, glass, reach_of
 from kvision.augmentation.corruption.layer import layered
 from kvision.augmentation.corruption.moved import sum_of_moved
-from kvision.augmentation.corruption.noises import as_stored, drawing, in_units, photons
+from kvision.augmentation.corruption.noises import as_stored, drawing, in_units
 from kvision.augmentation.corruption.pixelate import pixelate
 from kvision.augmentation.corruption.snow import add_snow
 from kvision.augmentation.corruption.weather import WINDOW, SpatterMode, as_textures, fogged, frosted, spattered
@@ -31,7 +31,10 @@ from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
 from kvision.augmentation.lists import filter_lists, statistics_lists
 from kvision.augmentation.lists.conversions import run_on_list
 from kvision.augmentation.lists.drawn_layers import blurred_maps
+from kvision.augmentation.lists.pixels import given_maps, packed_maps
+from kvision.augmentation.lists.replays import replay_pixels
 from kvision.augmentation.lists.sides import rows_on_device, sides_of, sizes_of_list
+from kvision.augmentation.maps import as_batch
 from kvision.augmentation.noise import (
     BY_CHANNEL,
     CLAMP,
@@ -63,7 +66,7 @@ def _gaussian_noise(x: Tensor, drawn: Params, deviation: float) -> Tensor:
 
 
 def _shot_noise(x: Tensor, drawn: Params, count: float) -> Tensor:
-    return photons(x, _mean_photons(x, count), drawn["noise"])
+    return _photons(x, drawn["noise"], count)(x.detach())
 
 
 _NO_IMPULSE = 0.5
@@ -88,7 +91,7 @@ class Impulses(NamedTuple):
 # The same by one operator on images of any type, which draws the noise.
 
 
-def _photons(x: Tensor, noise: PixelNoise, count: float) -> Operation:
+def _photons(x: Tensor, noise: PixelNoise | Tensor, count: float) -> Operation:
     return drawing(shot_noise, x, _mean_photons(x, count), noise)
 
 
@@ -139,7 +142,7 @@ def _glass_blur(x: Tensor, drawn: Params, sigma: float, max_delta: int, iteratio
     return glass(x, drawn["noise"], sigma, max_delta, iterations, "replicate")(x)
 
 
-def _frosted_glass(x: Tensor, noise: PixelNoise, sigma: float, max_delta: int, iterations: int) -> Operations:
+def _frosted_glass(x: Tensor, noise: PixelNoise | Tensor, sigma: float, max_delta: int, iterations: int) -> Operations:
     return glass(x, noise, sigma, max_delta, iterations, "replicate")
 
 
@@ -283,11 +286,12 @@ def _elastic_transform(like: Tensor, drawn: Params, images: Images, alpha: float
     return Displaced(gaussian_blur2d(noise, sides, sigma))
 
 
-def _blurred_maps_of_list(noise: NoiseOfList) -> Tensor:
+def _blurred_maps_of_list(noise: NoiseOfList | Sequence[Tensor]) -> Tensor:
     blur = _SIGMA, BORDER["reflect"]
-    if (fused := blurred_maps(noise, *blur)) is not None:
+    if isinstance(noise, NoiseOfList) and (fused := blurred_maps(noise, *blur)) is not None:
         return fused
-    (blurred,) = filter_lists.gaussian_blur2d_of_sides(noise.each(), *blur)
+    each = noise.each() if isinstance(noise, NoiseOfList) else list(noise)
+    (blurred,) = filter_lists.gaussian_blur2d_of_sides(each, *blur)
     return blurred.detach()
 
 
@@ -457,6 +461,10 @@ CORRUPTIONS: dict[CorruptionName, Corruption] = {
 }
 
 
+# Whose given numbers of pixels say what becomes of each.
+_BY_PIXEL = ("gaussian_noise", "impulse_noise", "speckle_noise")
+
+
 class CommonCorruption(IntensityAugmentationBase2D, keeps_contract=True):
     """Corrupt images as the benchmark ImageNet-C does, by the name of the corruption and its severity.
 
@@ -567,7 +575,8 @@ class CommonCorruption(IntensityAugmentationBase2D, keeps_contract=True):
         corruption, numbers = self._corruption
         operation: Operation | Operations | Displaced
         if corruption.fused is not None:
-            operation = corruption.fused(like, params["_noise"][1], *numbers)
+            noise = params["_noise"][1] if "_noise" in params else params["noise"]
+            operation = corruption.fused(like, noise, *numbers)
         else:
             assert corruption.apply is not None
             operation = corruption.apply(like, self._drawn(params, like), images, *numbers)
@@ -576,7 +585,9 @@ class CommonCorruption(IntensityAugmentationBase2D, keeps_contract=True):
     def _operation_on_list(self, images: Sequence[Tensor], like: Tensor, execution: Execution) -> Any:
         generator = self._param_generator
         assert generator is not None
-        if self.fuses_noise or not generator.per_pixel:
+        if execution.params is not None:
+            params = {**execution.params, **self._given_maps(images, like, execution)}
+        elif self.fuses_noise or not generator.per_pixel:
             params = self._params_on_device(like, execution, for_users=False)
         else:
             assert execution.columns is not None
@@ -590,6 +601,23 @@ class CommonCorruption(IntensityAugmentationBase2D, keeps_contract=True):
             else:  # one as large as the largest image
                 params = generator.pixel_params(values, (*like.shape[:2], *sizes(images)), noise)
         return self._operation(like, params, images)
+
+    def _given_maps(self, images: Sequence[Tensor], like: Tensor, execution: Execution) -> Params:
+        """The maps among given parameters, as operators on lists take them."""
+        params: Params = execution.params or {}
+        if self.name == "fog":
+            return {"plasma": as_batch(given_maps(params["plasma"], like.device, compute_dtype(like)))}
+        if self.name in ("shot_noise", "glass_blur"):
+            planes = 2 * int(self._corruption[1][2]) if self.name == "glass_blur" else None
+            return {"noise": packed_maps(params["noise"], images, planes)}
+        if "noise" not in params:
+            return {}
+        return {"noise": given_maps(params["noise"], like.device, compute_dtype(like), execution.chosen)}
+
+    def _run_list(self, images: Sequence[Tensor], execution: Execution) -> list[Tensor]:
+        if self.name in _BY_PIXEL and execution.params is not None:
+            return replay_pixels(self, images, execution.params, ["noise"])
+        return super()._run_list(images, execution)
 
     def _operates_on(self, dtype: torch.dtype) -> bool:
         generator = self._param_generator

@@ -15,6 +15,7 @@ from kvision._list_ops import ListOperator
 from kvision._ops import Operator, match_layout, register
 from kvision.augmentation.keys import flatten_draws
 from kvision.augmentation.lists import filter_lists
+from kvision.augmentation.lists.pixels import unpacked_maps
 from kvision.augmentation.noise import NO_KEY, PixelNoise, words_of_pixels
 from kvision.augmentation.random_generator.base import Shape
 from kvision.filters.smoothing.gaussian import blur_arguments
@@ -83,14 +84,23 @@ read_neighbors: Operator = register(
 )
 
 
+def _with_maps(
+    images: Sequence[Tensor], keys: Tensor, seeds: Any, uniform: Any, plan: Any, *moves: int
+) -> tuple[Any, ...]:
+    """The arguments of a list with the numbers of each image in place of packed ones."""
+    _, steps = moves
+    return keys, seeds, unpacked_maps(uniform, images, 2 * steps), plan, *moves
+
+
 def _of_sample(
-    b: int, keys: Tensor, seeds: Tensor | None, uniform: Tensor | None, plan: Sequence[int], *moves: int
+    b: int, keys: Tensor, seeds: Tensor | None, uniform: Sequence[Tensor | None], plan: Sequence[int], *moves: int
 ) -> tuple[Any, ...]:
     form, first = [*plan, 0, 0][4:6]
-    return keys, row(seeds, b), row(uniform, b), [*plan[:4], form, first + b], *moves
+    return keys, row(seeds, b), uniform[b], [*plan[:4], form, first + b], *moves
 
 
 def _sums_reference(grads: Sequence[Tensor], chosen: Tensor | None, *args: Any) -> list[Tensor]:
+    args = _with_maps(grads, *args)
     each: Any = [_backward((), g[None], g[None], *_of_sample(b, *args))[0] for b, g in enumerate(grads)]
     if chosen is None:
         return [y[0] for y in each]
@@ -115,6 +125,7 @@ _read_neighbors_list = register_filter(
     _of_sample,
     _backward,
     of_images=lambda grads, images, *args: _sums_list(grads, *args),
+    by_image=_with_maps,
 )
 
 
@@ -132,7 +143,7 @@ class Moves(NamedTuple):
 def glass(
     like: Tensor, noise: PixelNoise | Tensor, sigma: float, max_delta: int, steps: int, border: Border = "reflect"
 ) -> Operations:
-    """Between two blurs, pixels read neighbors, by a source of noise or a uniform map.
+    """Between two blurs, pixels read neighbors, by a source of noise or a uniform map, a packed one of a list.
 
     `like` is a batch of images, or as small as any of a list.
     """

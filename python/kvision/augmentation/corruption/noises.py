@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import torch
@@ -14,20 +15,24 @@ from kvision._clamp import clamp
 from kvision._dtype import compute_dtype
 from kvision._ops import Operator, match_layout, register, vjp
 from kvision.augmentation import ranges
-from kvision.augmentation.channels import Scaling, apply_to_each
+from kvision.augmentation.channels import Scaling
 from kvision.augmentation.draws import unit
 from kvision.augmentation.engine import Execution, Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
 from kvision.augmentation.keys import flatten_draws
+from kvision.augmentation.lists.pixels import PixelRow, packed_maps
+from kvision.augmentation.lists.replays import replay_pixels
 from kvision.augmentation.noise import (
     CLAMP,
     NO_KEY,
     PixelNoise,
     is_chosen,
+    keeping_unchosen,
     normals_of_pixels,
-    of_sample_without_maps,
+    of_sample_with_maps,
     poisson_quantile,
     shot_noise,
+    with_maps_of_each,
     words_of_pixels,
 )
 from kvision.augmentation.random_generator.mapped import FactorsGenerator, MappedGenerator, NoiseMap
@@ -57,20 +62,13 @@ def as_stored(y: Tensor, like: Tensor) -> Tensor:
     return (255 * y).round().to(torch.uint8) if like.dtype == torch.uint8 else y.to(like.dtype)
 
 
-def photons(x: Tensor, parameters: Tensor, noise: PixelNoise | Tensor) -> Tensor:
-    """Images counted in photons, by `shot_noise`, from a source of noise or a uniform map."""
-    x = x.detach()
-    if isinstance(noise, PixelNoise):
-        return drawing(shot_noise, x, parameters, noise)(x)
-    own = parameters.to(compute_dtype(x))
-    y: Tensor = shot_noise(x, own, NO_KEY, None, None, noise.to(x.device, torch.float32), (0, 0, 1, 0))
-    return y
-
-
-def drawing(operator: Operator, like: Tensor, parameters: Tensor, noise: PixelNoise) -> Operation:
-    """An operator that draws the numbers of pixels, which it may be given, from a source of noise."""
+def drawing(operator: Operator, like: Tensor, parameters: Tensor, noise: PixelNoise | Tensor) -> Operation:
+    """An operator that draws the numbers of pixels from a source of noise, or is given maps of them, packed ones of a list."""
+    own = parameters.to(like.device, compute_dtype(like))
+    if isinstance(noise, Tensor):
+        return Operation(operator, (own, NO_KEY, None, None, noise.to(like.device, torch.float32), (0, 0, 1, 0)))
     keys, seeds, chosen, plan = noise.arguments()
-    return Operation(operator, (parameters.to(compute_dtype(like)), keys, seeds, chosen, None, plan))
+    return Operation(operator, (own, keys, seeds, chosen, None, plan))
 
 
 class ShotNoise(IntensityAugmentationBase2D, keeps_contract=True):
@@ -123,15 +121,29 @@ class ShotNoise(IntensityAugmentationBase2D, keeps_contract=True):
                 return self._operation(input, params)(input.detach())
             params = {**params, **self._param_generator.pixel_params(columns, tuple(input.shape), noise)}
         if not params["scale"].requires_grad:
-            step = params["scale"].to(input.device)
-            return photons(input, torch.stack([step, torch.full_like(step, _GAMMA)], 1), params["noise"])
+            return self._operation(input, params)(input.detach())
         scale, u = params_in_type_of(params, input, "scale", "noise")
         light = clamp(in_units(input), 0, 1).to(scale.dtype) ** _GAMMA
         counts = poisson_quantile(u, light.detach() / scale)
         return as_stored(clamp(counts * scale, 0, 1) ** (1 / _GAMMA), input)
 
     def _operation(self, like: Tensor, params: Params) -> Operation:
-        return drawing(shot_noise, like, *params["_noise"])
+        if "_noise" in params:
+            return drawing(shot_noise, like, *params["_noise"])
+        step = params["scale"]
+        return drawing(shot_noise, like, torch.stack([step, torch.full_like(step, _GAMMA)], 1), params["noise"])
+
+    def _operation_on_list(self, images: Sequence[Tensor], like: Tensor, execution: Execution) -> Operation:
+        params = self._params_on_device(like, execution, for_users=False)
+        if "_noise" not in params:
+            params["noise"] = packed_maps(params["noise"], images)
+        return self._operation(like, params)
+
+    def _run_list(self, images: Sequence[Tensor], execution: Execution) -> list[Tensor]:
+        given = execution.params
+        if given is not None and given["scale"].requires_grad:  # for which there is no operator
+            return replay_pixels(self, images, given, ["noise"], ["scale"])
+        return super()._run_list(images, execution)
 
 
 def _iso_reference(
@@ -179,10 +191,14 @@ _iso_noise_backward = register(
 )
 
 
+_with_maps_of_iso = partial(with_maps_of_each, planes=2)
+
+
 def _iso_gradients_of_list(images_and_grads: Sequence[Tensor], *args: Any) -> list[Tensor]:
     images, grads = halves(images_and_grads)
+    args = _with_maps_of_iso(images, *args)
     return [
-        _iso_noise_backward.reference(g[None], x[None], *of_sample_without_maps(b, *args))[0]
+        _iso_noise_backward.reference(g[None], x[None], *of_sample_with_maps(b, *args))[0]
         for b, (x, g) in enumerate(zip(images, grads))
     ]
 
@@ -193,8 +209,10 @@ _iso_noise_list_backward = register_list_backward(
 register_list(
     "iso_noise_list",
     iso_noise,
-    of_sample_without_maps,
+    of_sample_with_maps,
+    kept=keeping_unchosen,
     of_images=lambda grads, images, *args: _iso_noise_list_backward([*images, *grads], *args),
+    by_image=_with_maps_of_iso,
 )
 
 
@@ -240,19 +258,23 @@ class ISONoise(IntensityAugmentationBase2D, keeps_contract=True):
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
-        if "_noise" in params:
-            return self._operation(input, params)(input)
-        _check.rgb("ISONoise", input.shape)
-        numbers = [params[name].to(input.device, compute_dtype(input)) for name in ("color_shift", "intensity")]
-        maps = torch.cat(
-            [params[name].to(input.device, torch.float32) for name in ("luminance_noise", "color_noise")], 1
-        )
-        y: Tensor = iso_noise(input, torch.stack(numbers, 1), NO_KEY, None, None, maps, (0, 0, 1, 0))
-        return y
+        return self._operation(input, params)(input)
 
     def _operation(self, like: Tensor, params: Params) -> Operation:
         _check.rgb("ISONoise", like.shape)
-        return drawing(iso_noise, like, *params["_noise"])
+        if "_noise" in params:
+            return drawing(iso_noise, like, *params["_noise"])
+        maps = torch.cat([params["luminance_noise"], params["color_noise"]], 1)
+        return drawing(iso_noise, like, torch.stack([params["color_shift"], params["intensity"]], 1), maps)
+
+    def _operation_on_list(self, images: Sequence[Tensor], like: Tensor, execution: Execution) -> Operation:
+        params = self._params_on_device(like, execution, for_users=False)
+        if "_noise" in params:
+            return self._operation(like, params)
+        _check.rgb("ISONoise", like.shape)
+        each = [plane for both in zip(params["luminance_noise"], params["color_noise"]) for plane in both]
+        maps = packed_maps(each, [x for x in images for _ in range(2)], 1)
+        return drawing(iso_noise, like, torch.stack([params["color_shift"], params["intensity"]], 1), maps)
 
 
 def multiplication(generator: FactorsGenerator, like: Tensor, params: Params) -> Operation:
@@ -307,7 +329,6 @@ class MultiplicativeNoise(IntensityAugmentationBase2D, keeps_contract=True):
         op = "MultiplicativeNoise"
         channels = None if _check.switch(op, "per_channel", per_channel) else 1
         self.fuses_noise = _check.switch(op, "elementwise", elementwise)
-        self.replays_lists = self.replays_pixels = not elementwise
         side = None if elementwise else 1
         between = ranges.parse(op, "multiplier", multiplier, bounds=(0.0, float("inf")))
         self._param_generator = FactorsGenerator(op, between, (channels, side, side))
@@ -334,11 +355,21 @@ class MultiplicativeNoise(IntensityAugmentationBase2D, keeps_contract=True):
 
     def _run_list(self, images: Sequence[Tensor], execution: Execution) -> list[Tensor]:
         if self.fuses_noise:
-            return super()._run_list(images, execution)
+            given = execution.params
+            return (
+                super()._run_list(images, execution)
+                if given is None
+                else replay_pixels(self, images, given, ["factors"])
+            )
         like, chosen = like_batch(images), execution.chosen
         params = self._params_on_device(like, execution, for_users=False)
         scaling = self._scaling(like, params)
-        return apply_to_each(self, images, params, chosen) if scaling is None else scaling.on_list(images, chosen)
+        if scaling is not None:
+            return scaling.on_list(images, chosen)
+        row = PixelRow(images)
+        x, factors = row.of(images), row.of_channels(params["factors"].flatten(1))
+        y = multiplied(self._param_generator, x, {"factors": factors})
+        return row.split(y if chosen is None else torch.where(row.of_images(chosen), y, x))
 
 
 class SpeckleNoise(IntensityAugmentationBase2D, keeps_contract=True):
@@ -377,6 +408,12 @@ class SpeckleNoise(IntensityAugmentationBase2D, keeps_contract=True):
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
         return multiplied(self._param_generator, input, params)
+
+    def _run_list(self, images: Sequence[Tensor], execution: Execution) -> list[Tensor]:
+        given = execution.params
+        return (
+            super()._run_list(images, execution) if given is None else replay_pixels(self, images, given, ["factors"])
+        )
 
     def _operation(self, like: Tensor, params: Params) -> Operation:
         return multiplication(self._param_generator, like, params)

@@ -20,7 +20,8 @@ from kvision.augmentation.corruption.layer_base import LayerAugmentation
 from kvision.augmentation.engine import Execution, Params
 from kvision.augmentation.lists import filter_lists, statistics_lists
 from kvision.augmentation.lists.brightest import brightest
-from kvision.augmentation.lists.drawn_layers import spatter_layers
+from kvision.augmentation.lists.drawn_layers import plasma_of_list, spatter_layers
+from kvision.augmentation.lists.pixels import given_maps
 from kvision.augmentation.lists.sides import rows_on_device, sides_of_list
 from kvision.augmentation.maps import as_batch
 from kvision.augmentation.random_generator.mapped import MappedGenerator, NoiseMap, NoiseOfList
@@ -28,7 +29,7 @@ from kvision.augmentation.random_generator.plasma import PlasmaGenerator
 from kvision.augmentation.ranges import Numbers
 from kvision.core.exceptions import ShapeError, TypeCheckError
 from kvision.filters.smoothing.gaussian import blur_arguments
-from kvision.geometry.transform.lists.arguments import largest_shape, sizes
+from kvision.geometry.transform.lists.arguments import largest_shape
 from kvision.geometry.transform.lists.kept_sizes import Operation
 
 SpatterMode: TypeAlias = Literal["rain", "mud"]
@@ -95,10 +96,8 @@ class RandomFog(LayerAugmentation, keeps_contract=True):
         return fogged(like, plasma, amount)
 
     def _operation_on_list(self, images: Sequence[Tensor], like: Tensor, execution: Execution) -> Any:
-        assert execution.columns is not None
-        values, noise = execution.columns.values, self._pixel_noise(execution, execution.redraw, like.device)
-        plasma = self._param_generator.plasma(values, like.shape[1], sizes(images), noise).to(compute_dtype(like))
-        return fogged(like, plasma, self._named(values, execution)["intensity"].to(plasma), images)
+        plasma = plasma_of_list(self, images, like, execution)
+        return fogged(like, plasma, self._drawn_params(like, execution)["intensity"].to(plasma), images)
 
 
 def as_textures(op: str, texture: Any) -> Tensor:
@@ -278,17 +277,20 @@ class Spatter(LayerAugmentation, keeps_contract=True):
         return muddy(like, noise, smoothing, parameters, softening, self.color)
 
     def _operation_on_list(self, images: Sequence[Tensor], like: Tensor, execution: Execution) -> Operation:
-        assert execution.columns is not None
-        values, source = execution.columns.values, self._pixel_noise(execution, execution.redraw, like.device)
-        noise = NoiseOfList(self._param_generator.maps["noise"], source, images)
-        return self._operation(like, {**self._named(values, execution), "noise": noise})
+        params = self._drawn_params(like, execution)
+        if execution.params is not None:
+            noise: Any = given_maps(execution.params["noise"], like.device, compute_dtype(like))
+        else:
+            source = self._pixel_noise(execution, execution.redraw, like.device)
+            noise = NoiseOfList(self._param_generator.maps["noise"], source, images)
+        return self._operation(like, {**params, "noise": noise})
 
     def _operates_on(self, dtype: torch.dtype) -> bool:
         return dtype != torch.float64 and super()._operates_on(dtype)
 
 
 Layers: TypeAlias = Tensor | Sequence[Tensor]  # (B, 1, H, W), or (1, H, W) of each image of a list
-Noise: TypeAlias = Tensor | NoiseOfList  # of as many layers
+Noise: TypeAlias = Layers | NoiseOfList  # of as many layers
 
 
 def on_layers(operation: Operation, layers: Layers) -> Layers:

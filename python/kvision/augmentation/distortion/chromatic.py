@@ -47,8 +47,6 @@ class ChromaticAberration(IntensityAugmentationBase2D, keeps_contract=True):
         True
     """
 
-    replays_lists = True
-
     def __init__(
         self,
         primary_distortion_range: Numbers = (-0.02, 0.02),

@@ -29,7 +29,6 @@ class MapAugmentation(AugmentationBase2D, keeps_contract=True):
     accepts_bytes = accepts_wide_integers = True
     keeps_lines = False
     moves_by_map = True
-    replays_lists = True
 
     def displacements(self, shape: tuple[int, ...], params: Params, flags: dict[str, Any], like: Tensor) -> Tensor:
         """The map (B, 2, H, W), as maps.py stores it."""

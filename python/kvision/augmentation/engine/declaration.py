@@ -72,8 +72,6 @@ class Declaration(KeepsArguments):
     mixes_samples: ClassVar[bool] = False  # of the batch
     moves_by_map: ClassVar[bool] = False  # as MapAugmentation does
     keeps_positions: ClassVar[bool] = False  # of all pixels, so that labels stay as they are
-    replays_lists: bool = False  # an operator runs lists with given parameters, of samples of which some are chosen
-    replays_pixels: bool = False  # of lists, whose parameters say what pixels become
     warps_lists_by_matrix: ClassVar[bool] = False  # where it runs by itself
     keeps_unchosen: ClassVar[bool] = False  # the drawn columns of samples that are not chosen leave them as they are
     filters_chosen: bool = False  # `_operation` is a filter, which copies images of a list that are not chosen

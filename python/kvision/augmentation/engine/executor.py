@@ -185,7 +185,8 @@ class Executor(Drawing):
             return bytes_of_float_images(self._run_list(in_type(torch.float32, images), execution))
         like = smallest_batch(images) if self.filters_chosen else like_batch(images)
         columns = None if execution.is_certain else execution.columns
-        chosen = None if columns is None or columns.chosen is None else columns.chosen.float()
+        chosen = execution.chosen if columns is None else columns.chosen
+        chosen = None if chosen is None else chosen.float()
         return self._operation_on_list(images, like, execution).on_list(images, chosen)
 
     def _operation_on_list(

@@ -271,10 +271,7 @@ def _make_replay(
 ) -> ReplayPlan | None:
     modules: list[Any] = [child.module for child in children]
     sized = find_sized(modules, applied, images[0].shape[0], context)
-    has_pixels = any(
-        m._param_generator is not None and m._param_generator.per_pixel and not m.replays_pixels for m in modules
-    )
-    if sized is None or has_pixels or context.output.memory_format is not None:
+    if sized is None or context.output.memory_format is not None:
         return None
     each = [sized.reading.shapes(size) for size in SIZES]
     if any(m._executes_columns(a) != m._executes_columns(b) for m, a, b in zip(modules, *each)):
@@ -329,8 +326,3 @@ def _on_host(params: Params) -> Params:
         k: torch.rand(x.shape, generator=others, device="cpu") if isinstance(x, Tensor) else x
         for k, x in params.items()
     }
-
-
-def takes_given(step: Step, modules: Sequence[Any], dtype: torch.dtype) -> bool:
-    """The same with given parameters."""
-    return takes_list(step, modules, dtype) and (not isinstance(step, Alone) or modules[step.number].replays_lists)

@@ -32,7 +32,7 @@ from kvision.augmentation.engine.list_plans import (
     columns_of_sizes,
     kept_plan,
     kept_replay,
-    takes_given,
+    takes_list,
     with_numbers,
 )
 from kvision.augmentation.engine.list_records import ListParts, record_of_run
@@ -315,7 +315,7 @@ def _prepared(
     if given is None:
         return None
     replay = ListReplay(images, children, context, given)
-    takes = all(takes_given(step, replay.running.modules, images[0].dtype) for step in replay.steps)
+    takes = all(takes_list(step, replay.running.modules, images[0].dtype) for step in replay.steps)
     return replay if takes else None
 
 

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import torch
 from torch import Tensor
 
 from kvision._constants import constant
+from kvision._dtype import compute_dtype
 from kvision._ops import FastPath
+from kvision.augmentation.engine import Execution
+from kvision.augmentation.lists.pixels import given_maps
 from kvision.augmentation.lists.sides import rows_on_device
+from kvision.augmentation.maps import as_batch
 from kvision.augmentation.random_generator.mapped import NoiseOfList
 from kvision.geometry.transform.lists.arguments import sizes
 from kvision.geometry.transform.lists.kept_sizes import Operation
@@ -46,3 +53,13 @@ def blurred_maps(noise: NoiseOfList, sigma: float, border: int) -> Tensor | None
     parameters = rows_on_device(scales, noise.images[0], torch.float32)
     maps: Tensor = _blurred_maps.kernel(parameters, keys, seeds, chosen, list(plan), sides, sigma, border)
     return maps
+
+
+def plasma_of_list(module: Any, images: Sequence[Tensor], like: Tensor, execution: Execution) -> Tensor:
+    """The fractal maps (B, C, H, W) of an augmentation, as large as the largest image of a list."""
+    if execution.params is not None:
+        return as_batch(given_maps(execution.params["plasma"], like.device, compute_dtype(like)))
+    assert execution.columns is not None
+    values, noise = execution.columns.values, module._pixel_noise(execution, execution.redraw, like.device)
+    plasma: Tensor = module._param_generator.plasma(values, like.shape[1], sizes(images), noise)
+    return plasma.to(compute_dtype(like))

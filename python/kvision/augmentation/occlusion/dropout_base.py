@@ -14,7 +14,7 @@ from kvision._dtype import compute_dtype
 from kvision._ops import Operator
 from kvision.augmentation import ranges
 from kvision.augmentation.engine import Execution, Params
-from kvision.augmentation.erase import erased_where, fill_with_noise
+from kvision.augmentation.erase import erased_where, fill_with_maps, fill_with_noise
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
 from kvision.augmentation.lists.masks import filled_masks
 from kvision.augmentation.ranges import Numbers
@@ -75,7 +75,6 @@ class DropoutBase(IntensityAugmentationBase2D, keeps_contract=True):
 class ErasingDropout(DropoutBase, keeps_contract=True):
     """A class whose parts an operator sets to values."""
 
-    replays_lists = True
     eraser: ClassVar[Operator]
 
     def _parts(self, params: Params, shape: tuple[int, ...], device: torch.device) -> Tensor:
@@ -111,8 +110,12 @@ class ErasingDropout(DropoutBase, keeps_contract=True):
         erasing = self._erasing_of_list(images, like_batch(images), execution)
         if not isinstance(self.fill, str):
             return erasing.on_list(images)
+        parts, _ = erasing.arguments
+        if execution.params is not None:
+            given = execution.params["fill"]
+            return fill_with_maps(images, lambda x, own: erasing._replace(arguments=(parts, own)).on_list(x), given)
         noise = self._pixel_noise(execution, execution.redraw, images[0].device)
-        return fill_with_noise(images, erasing.arguments[0], noise)
+        return fill_with_noise(images, parts, noise)
 
     def _operation_on_list(self, images: Sequence[Tensor], like: Tensor, execution: Execution) -> Operation:
         return self._operation(like, self._drawn_params(like, execution))

@@ -14,6 +14,8 @@ from kvision._constants import constant, on_device
 from kvision.augmentation import ranges
 from kvision.augmentation.engine import Execution, Params
 from kvision.augmentation.erase import erase_grid
+from kvision.augmentation.lists.pixels import given_maps
+from kvision.augmentation.maps import as_batch
 from kvision.augmentation.occlusion.dropout_base import ErasingDropout
 from kvision.augmentation.occlusion.holes import HoleDropout
 from kvision.augmentation.random_generator.mapped import MappedGenerator
@@ -100,10 +102,11 @@ class GridDropout(HoleDropout, keeps_contract=True):
                 units = self._units(shape[axis - 2], own[axis], shift)
                 tables.append([[[*row, *none] for row in unit] for unit in units])
             axes.append(on_device(torch.tensor(tables, dtype=torch.float32, device="cpu"), like.device))
-        if (unit_range := self._param_generator.unit_size_range) is None or execution.columns is None:
+        params = self._drawn_params(like, execution)
+        if (unit_range := self._param_generator.unit_size_range) is None or "unit_size" not in params:
             axes = [units[:, 0] for units in axes]
         else:
-            drawn = self._named(execution.columns.values, execution)["unit_size"]
+            drawn = params["unit_size"]
             at = drawn.to(like.device).long() - unit_range[0]
             axes = [units[torch.arange(len(at), device=at.device), at] for units in axes]
         offsets = None
@@ -113,6 +116,9 @@ class GridDropout(HoleDropout, keeps_contract=True):
 
     def _offsets_of_list(self, counts: list[Any], execution: Execution, device: torch.device) -> Tensor:
         whole, rows = execution.whole or (execution, None)
+        if whole.params is not None:
+            offsets = as_batch(given_maps(whole.params["offsets"], device, torch.float32))
+            return offsets if rows is None else offsets.index_select(0, index_of(rows, offsets))
         noise = self._pixel_noise(whole, whole.redraw, device)
         if rows is None:
             return self._param_generator.offsets_of_list(noise, counts)

@@ -14,7 +14,7 @@ from kvision._ops import FLOATS, FastPath, register
 from kvision.augmentation import ranges
 from kvision.augmentation.draws import mixed_words
 from kvision.augmentation.engine import Execution, Params, check_images
-from kvision.augmentation.erase import erase_marked_list, fill_with_noise
+from kvision.augmentation.erase import erase_marked_list, fill_with_maps, fill_with_noise
 from kvision.augmentation.keys import Seed
 from kvision.augmentation.labels import masks_as_batch
 from kvision.augmentation.lists.masks import filled_masks
@@ -98,7 +98,7 @@ class MaskDropout(DropoutBase, keeps_contract=True):
     """
 
     reads_labels = "masks"
-    needs_masks = replays_lists = True
+    needs_masks = True
 
     def __init__(
         self,
@@ -254,6 +254,8 @@ class MaskDropout(DropoutBase, keeps_contract=True):
 
     def _run_list(self, images: Sequence[Tensor], execution: Execution) -> list[Tensor]:
         marks = self._marks(images, execution).to(images[0].device)
+        if isinstance(self.fill, str) and execution.params is not None:
+            return fill_with_maps(images, lambda x, own: erase_marked_list(x, marks, own), execution.params["fill"])
         if isinstance(self.fill, str):
             return fill_with_noise(images, marks, self._pixel_noise(execution, execution.redraw, marks.device))
         return list(erase_marked_list(images, marks, self._values(like_batch(images), {})[:, :, 0, 0]))

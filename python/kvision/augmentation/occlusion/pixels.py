@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any, Literal
 
@@ -12,11 +13,17 @@ from kvision import _check
 from kvision._dtype import compute_dtype
 from kvision.augmentation import ranges
 from kvision.augmentation.engine import Execution, Params
+from kvision.augmentation.erase import erase_marked_list
+from kvision.augmentation.lists.masks import filled_masks
+from kvision.augmentation.lists.pixels import PixelRow, given_maps
+from kvision.augmentation.lists.replays import chosen_rows, maps_of_rows
+from kvision.augmentation.maps import as_batch
 from kvision.augmentation.noise import BY_CHANNEL, RANDOM, fill_pixels_list, salt_and_pepper
 from kvision.augmentation.occlusion.dropout_base import DropoutBase
 from kvision.augmentation.random_generator.occlusion import PixelDropoutGenerator, is_hit
 from kvision.augmentation.ranges import Numbers
-from kvision.geometry.transform.lists.arguments import like_batch
+from kvision.augmentation.sample_rows import index_of
+from kvision.geometry.transform.lists.arguments import like_batch, sizes
 from kvision.geometry.transform.lists.kept_sizes import Operation
 
 
@@ -80,6 +87,8 @@ class PixelDropout(DropoutBase, keeps_contract=True):
         return self.fill in (0.0, "random")
 
     def _run_list(self, images: Sequence[Tensor], execution: Execution) -> list[Tensor]:
+        if execution.params is not None:
+            return self._replay_list(images, execution.params)
         if self._fills_by_operator:
             return super()._run_list(images, execution)
         like = like_batch(images)
@@ -88,6 +97,53 @@ class PixelDropout(DropoutBase, keeps_contract=True):
         return list(
             fill_pixels_list(images, columns.to(compute_dtype(like)), values, *noise.arguments(form=self._form))
         )
+
+    def _replay_list(self, images: Sequence[Tensor], params: Params) -> list[Tensor]:
+        results, rows = list(images), chosen_rows(params)
+        if not rows:
+            return results
+        row = PixelRow([images[i] for i in rows])
+        x, like = row.of(row.images), like_batch(images)
+        if isinstance(self.fill, str):
+            fill = {"fill": row.of_maps(maps_of_rows(params["fill"], rows))}
+            values = self._values(x, fill)
+        else:
+            values = row.of_channels(self._values(like, {})[:, :, 0, 0])
+        values = values.round() if x.dtype == torch.uint8 else values
+        y = torch.where(row.of_maps(maps_of_rows(params["dropped"], rows)), values.to(x.dtype), x)
+        for i, result in zip(rows, row.split(y)):
+            results[i] = result
+        return results
+
+    def _marks(self, masks: Sequence[Tensor], execution: Execution) -> Tensor:
+        """1 at the pixels that are dropped from images of the sizes of masks, (B, 1, H, W) uint8 of the largest sides."""
+        if execution.params is not None:
+            marks = as_batch(given_maps(execution.params["dropped"], masks[0].device, torch.uint8))
+        else:
+            assert execution.columns is not None
+            columns, channels = execution.columns.values.detach(), execution.shape[1] if self._form else 1
+            noise, sides = self._pixel_noise(execution, execution.redraw, columns.device), sizes(masks)
+            shapes = [(channels, h, w) for h, w in zip(sides[::2], sides[1::2])]
+            counts = [math.prod(shape) for shape in shapes]
+            zero = torch.zeros(sum(counts), dtype=torch.uint8, device=columns.device)
+            kept = [own.view(shape) for own, shape in zip(zero.split(counts), shapes)]
+            one = columns.new_ones(1, dtype=compute_dtype(zero))
+            hit = fill_pixels_list(kept, columns.to(one), one, *noise.arguments(form=self._form))
+            marks = as_batch(hit)
+        marks, chosen = marks.amax(1, keepdim=True), execution.chosen
+        return marks if chosen is None else marks * chosen.to(marks)[:, None, None, None]
+
+    def _move_mask_list(self, masks: list[Tensor], execution: Execution, fill: Any) -> list[Tensor] | None:
+        if self.fill_mask is None:
+            return masks
+        whole, rows = execution.whole or (execution, None)
+        of_images = masks if rows is None else [masks[rows.index(b)] for b in range(whole.shape[0])]
+        marks = self._marks(of_images, whole)
+        if marks.device != masks[0].device:
+            return None
+        marks = marks if rows is None else marks.index_select(0, index_of(rows, marks))
+        value = self.fill_mask if fill is None else fill
+        return filled_masks(masks, value, lambda x, own: erase_marked_list(x, marks, own))
 
     def _operation(self, like: Tensor, params: Params) -> Operation:
         columns, noise = params["_noise"]

@@ -91,6 +91,7 @@ def register_list(
     kept: Callable[..., Arguments] | None = None,
     of_images: Callable[..., Sequence[Tensor]] | None = None,
     dtype: torch.dtype | None = None,
+    by_image: Callable[..., Arguments] = lambda images, *args: args,
 ) -> ListOperator:
     """The operator on lists of images (C, H, W) that an operator on images (B, C, H, W) has a kernel for.
 
@@ -104,18 +105,21 @@ def register_list(
         of_images: the gradients of all images at once, for those of the results, the images and the arguments, where no others
             are wanted.
         dtype: the type of the results; default: that of the images.
+        by_image: the arguments as `of_sample` takes them, for the images and those of the operator.
     """
 
     of_batch = backward or _of_reference(of)
 
     def reference(images: Sequence[Tensor], *args: Any) -> list[Tensor]:
-        return [of.reference(x[None], *of_sample(b, *args))[0] for b, x in enumerate(images)]
+        of_each = by_image(images, *args)
+        return [of.reference(x[None], *of_sample(b, *of_each))[0] for b, x in enumerate(images)]
 
     def gradients(needs: Sequence[bool], grads: Any, images: Sequence[Tensor], *args: Any) -> list[Any]:
         grads = [torch.zeros_like(x) if g is None else g for g, x in zip(grads, images)]
         if of_images is not None and not any(needs[1:]):
             return [of_images(grads, images, *args), *(None,) * (len(needs) - 1)]
-        each = [of_batch(needs, g[None], x[None], *of_sample(b, *args)) for b, (g, x) in enumerate(zip(grads, images))]
+        of_each, pairs = by_image(images, *args), enumerate(zip(grads, images))
+        each = [of_batch(needs, g[None], x[None], *of_sample(b, *of_each)) for b, (g, x) in pairs]
         own_images, *others = zip(*each)
         found = [None if own[0] is None else _of_all(own, x) for own, x in zip(others, args)]
         return [[g[0] for g in own_images] if needs[0] else None, *found, *(None,) * (len(needs) - 1 - len(found))]

@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor
 
 from kvision._list_ops import ListOperator
@@ -24,7 +23,8 @@ _UNIT = 16
 
 def packed(maps: Sequence[Tensor]) -> Tensor:
     """Maps (C, H, W) as one tensor."""
-    return torch.cat([F.pad(own.flatten(), (0, -own.numel() % _UNIT)) for own in maps])
+    beyond = maps[0].new_zeros(_UNIT)
+    return torch.cat([part for own in maps for part in (own.flatten(), beyond[: -own.numel() % _UNIT])])
 
 
 def packed_size(sides: Sequence[int], channels: int = 2) -> int:

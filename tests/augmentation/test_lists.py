@@ -135,10 +135,10 @@ def test_what_has_no_list_is_refused():
             augment([torch.rand(2, 3, 4, 5)] * 2)
         with pytest.raises(ValueError, match="one number of channels"):
             augment([torch.rand(3, 4, 5), torch.rand(1, 4, 5)])
-        with pytest.raises(TypeError, match="of bytes or floats, got torch.int16"):
-            augment([x.short() for x in images])
         with pytest.raises(ValueError, match="seeds of 4 samples, got 3"):
             augment(images, seed=torch.arange(3))
+    with pytest.raises(TypeError, match="or of int16 or uint16 for geometric classes, got torch.int16"):
+        A.RandomInvert()([x.short() for x in images])
     labeled = A.AugmentationSequential(A.RandomHorizontalFlip(), data_keys=["input", "bbox_xyxy"])
     with pytest.raises(ValueError, match="expected bbox_xyxy of 4 images, got those of 1"):
         labeled(images, [torch.rand(1, 4)])
@@ -388,3 +388,34 @@ def test_a_list_image_by_image_has_no_graph():
     augment = torch.compile(A.ImageSequential(Halved()), fullgraph=True, backend="eager")
     with pytest.raises(Exception, match=r"has no graph; call it outside of"):
         augment(pictures("cpu", SMALL))
+
+
+WIDE = {
+    "affine": lambda: A.RandomAffine(20.0, p=1.0),
+    "crop": lambda: A.RandomResizedCrop((9, 12)),
+    "resize": lambda: A.SmallestMaxSize(14),
+    "elastic": lambda: A.RandomElasticTransform((5, 5), (2.0, 2.0), p=1.0),
+    "chain": lambda: A.ImageSequential(A.RandomHorizontalFlip(), A.RandomRotation(20.0, p=1.0)),
+    "late crop": lambda: A.ImageSequential(A.RandomHorizontalFlip(), A.RandomCrop((9, 9))),
+}
+
+
+@pytest.mark.parametrize("dtype", [torch.int16, torch.uint16], ids=str)
+@pytest.mark.parametrize("name", WIDE)
+def test_integers_of_16_bits_become_what_each_image_becomes_alone(name, dtype, device):
+    """They are computed in float32 and rounded."""
+    augment, images = WIDE[name](), [(60000 * x - 25000 * (dtype == torch.int16)).to(dtype) for x in pictures(device)]
+    results = augment(images, seed=seeds_of(images))
+    for b, x in enumerate(images):
+        alone = augment(x[None], seed=seeds_of(images)[b : b + 1])[0]
+        assert results[b].dtype == dtype and torch.equal(results[b], alone)
+
+
+def test_masks_of_integers_of_16_bits_follow(device):
+    images = [(60000 * x).to(torch.uint16) for x in pictures(device)]
+    masks = [(x[:1].float() > 30000).byte() for x in images]
+    augment = A.AugmentationSequential(A.RandomAffine(20.0, p=1.0), data_keys=["image", "mask"])
+    results, moved = augment(images, masks, seed=seeds_of(images))
+    for b, x in enumerate(images):
+        alone, own = augment(x[None], masks[b][None], seed=seeds_of(images)[b : b + 1])
+        assert torch.equal(results[b], alone[0]) and torch.equal(moved[b], own[0])

@@ -13,14 +13,16 @@ from typing import Any, NamedTuple, get_args
 
 import torch
 from torch import Tensor
+from torch.compiler import is_compiling
 
 from kvision import _check
 from kvision._choices import OutputType
 from kvision._tv_tensors import TV_TENSORS, kind_of, plain
 from kvision.augmentation.labels import BOX_FORMATS
+from kvision.augmentation.lists.pixels import PixelRow
 from kvision.constants import DataKey
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
-from kvision.geometry.transform.lists.arguments import ImageList, unchecked_list
+from kvision.geometry.transform.lists.arguments import ImageList, check_list, unchecked_list
 
 WIDE_INTEGERS = (torch.int16, torch.uint16)  # whose values float32 holds
 OUTPUT_TYPES = get_args(OutputType)
@@ -123,12 +125,17 @@ def as_batch(x: Tensor, axes: int) -> Tensor:
 
 
 def checked_images(module: Any, images: Any) -> list[Tensor]:
-    """A list of images, an ImageList but in graphs; raises unless a module takes images of the type of the first one."""
+    """A list of images, an ImageList but in graphs; raises unless a module takes images of the type of the first one.
+
+    Integers of 16 bits become float32.
+    """
     op = type(module).__name__
     images = unchecked_list(op, "input", images)
     check_image(module, images[0])
     if images[0].dtype in WIDE_INTEGERS:
-        raise TypeCheckError(f"{op}: expected a list of images of bytes or floats, got {images[0].dtype}")
+        row = PixelRow(check_list(op, "input", images))
+        floats = row.split(row.of(images).float())
+        return floats if is_compiling() else ImageList(op, "input", floats)
     return images
 
 
@@ -138,6 +145,16 @@ def in_type_of(y: Tensor, input: Tensor) -> Tensor:
         return y
     bounds = torch.iinfo(input.dtype)
     return y.round().clamp(bounds.min, bounds.max).to(input.dtype)
+
+
+def list_in_type_of(y: Any, images: Sequence[Tensor]) -> Any:
+    """The results of a list, which may be a batch, in the type of the images, as :func:`in_type_of` has it."""
+    if images[0].dtype not in WIDE_INTEGERS:
+        return y
+    if isinstance(y, Tensor):
+        return in_type_of(y, images[0])
+    row = PixelRow(y)
+    return row.split(in_type_of(row.of(y), images[0]))
 
 
 def check_matrix(module: Any, matrix: Tensor, x: Tensor) -> None:

@@ -165,3 +165,21 @@ def test_masks_of_several_types_and_numbers_follow_one_by_one(device):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             assert torch.equal(moved[b], augment(x[None], [mask], seed=seeds[b : b + 1])[1][0])
+
+
+@pytest.mark.parametrize("per_channel", [False, True])
+def test_dropped_pixels_of_masks_are_those_of_each_image_alone(per_channel, device, backend):
+    images = pictures(device, [(20 + i, 34 - i) for i in range(8)])
+    masks = [(torch.rand(b % 3, *x.shape[1:], device=device) < 0.5).byte() for b, x in enumerate(images)]
+    drop = A.PixelDropout(0.3, per_channel, mask_drop_value=7, p=0.7)
+    augment = A.AugmentationSequential(A.RandomHorizontalFlip(), drop, data_keys=["image", "mask"])
+    results, moved = augment(images, masks, seed=seeds_of(images))
+    params = augment._params
+    assert {n for m in moved for n in m.unique().tolist()} == {0, 1, 7}
+    for b, x in enumerate(images):
+        own, mask = augment(x[None], [masks[b]], seed=seeds_of(images)[b : b + 1])
+        assert torch.equal(own[0], results[b]) and torch.equal(mask[0], moved[b])
+    again, masks_again = augment(images, masks, params=params)
+    assert all(map(torch.equal, again, results)) and all(map(torch.equal, masks_again, moved))
+    if backend != "reference":
+        assert calls(augment, images[:4], masks[:4], seed=0) == calls(augment, images, masks, seed=0)

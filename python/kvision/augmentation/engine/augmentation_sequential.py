@@ -208,8 +208,10 @@ class AugmentationSequential(ImageSequential):
             values[image] = source._like()
         before = None if {*map(type, values)} == {Tensor} else arguments.convert(self, image)
         if image is not None and isinstance(values[image], list) and not self._reads_lists():
-            values[image] = self.transform_tensor(values[image])
+            images = values[image]
+            values[image] = self.transform_tensor(images)
             outputs, record = self._call_list(keys, values, params, seed, generator)
+            outputs[image] = self._restored(outputs[image], images)
         else:
             outputs, record = self._call(keys, values, params, seed, generator, before, source)
         self._keep(record)

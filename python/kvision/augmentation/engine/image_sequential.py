@@ -27,6 +27,7 @@ from kvision.augmentation.inputs import (
     image_and_matrix,
     image_of,
     in_type_of,
+    list_in_type_of,
     plain_image,
 )
 from kvision.augmentation.keys import Seed
@@ -257,7 +258,9 @@ class ImageSequential(ListCaller):
 
     def _restored(self, y: Tensor, input: Tensor) -> Tensor:
         """A result of the type and with the axes of the input."""
-        if isinstance(input, list) or isinstance(y, list):
+        if isinstance(input, list):
+            return list_in_type_of(y, input) if self.output_dtype is None else y
+        if isinstance(y, list):
             return y
         if input.dtype in WIDE_INTEGERS and self.output_dtype is None:
             y = in_type_of(y, input)

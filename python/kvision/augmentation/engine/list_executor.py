@@ -20,7 +20,7 @@ from kvision.augmentation.engine.list_calls import call_in_parts
 from kvision.augmentation.engine.list_runs import run_list
 from kvision.augmentation.engine.parts import Parts, shapes_of_images
 from kvision.augmentation.engine.record import Child
-from kvision.augmentation.inputs import checked_images, plain_image
+from kvision.augmentation.inputs import checked_images, list_in_type_of, plain_image
 from kvision.augmentation.keys import Seed
 from kvision.augmentation.labels import box_edges, masks_as_batch
 from kvision.constants import DataKey
@@ -57,6 +57,7 @@ class ListExecutor(Executor):
                     parts = Parts.of_params(op, params, [x.shape for x in images], images, self._execution_of_part)
         if parts is not None:
             child.record = self._execution = ListExecution(parts)
+        y = list_in_type_of(y, plain)
         return y if plain is given else wrap(y, given), child.record
 
     def _call_part(

@@ -18,7 +18,7 @@ from kvision._modes import BLOCK_VALUE, BORDER
 from kvision.augmentation import maps
 from kvision.augmentation.corruption.blurs import mean_of_enlargements
 from kvision.augmentation.corruption.disk import disk_kernels
-from kvision.augmentation.corruption.fog import FogOfList
+from kvision.augmentation.corruption.fog import Fog
 from kvision.augmentation.corruption.glass import Moves, glass, reach_of
 from kvision.augmentation.corruption.layer import layered
 from kvision.augmentation.corruption.moved import sum_of_moved
@@ -230,8 +230,8 @@ def _frost(like: Tensor, drawn: Params, images: Images, of_image: float, of_fros
     return frosted(drawn["module"], drawn, like, of_image, of_frost, images)
 
 
-def _fog(like: Tensor, drawn: Params, images: Images, amount: float, roughness: float) -> Operation | FogOfList:
-    return fogged(like, drawn["plasma"], constant((amount,), like, compute_dtype(like)), images)
+def _fog(like: Tensor, drawn: Params, images: Images, amount: float, roughness: float) -> Fog:
+    return fogged(drawn["plasma"], constant((amount,), like, compute_dtype(like)), images)
 
 
 def _contrast(like: Tensor, drawn: Params, images: Images, factor: float) -> Operation:

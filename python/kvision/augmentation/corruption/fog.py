@@ -7,10 +7,12 @@ from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
+from torch.compiler import is_compiling
 
 from kvision._clamp import clamp
 from kvision._dtype import compute_dtype
 from kvision._list_ops import ListOperator
+from kvision._torch_compat import in_function_transform
 from kvision.augmentation.corruption.layer import add_layer, arguments_of_sample
 from kvision.geometry.transform.lists import arguments as lists
 from kvision.geometry.transform.lists.arguments import row
@@ -81,11 +83,19 @@ _fog_list = ListOperator(
 )
 
 
-class FogOfList(NamedTuple):
-    """What puts the images of a list behind layers (B or 1, 1, H, W) of fog by numbers, as an `Operation` does."""
+class Fog(NamedTuple):
+    """What puts images behind layers (B or 1, 1, H, W) of fog by numbers, as an `Operation` does."""
 
     layer: Tensor
     numbers: Tensor
+
+    def __call__(self, images: Tensor) -> Tensor:
+        is_of_images = images.requires_grad and not (self.layer.requires_grad or self.numbers.requires_grad)
+        if is_of_images and torch.is_grad_enabled() and len(images) and not (is_compiling() or in_function_transform()):
+            return torch.stack(self.on_list(list(images.unbind())))  # whose gradient has a kernel
+        factors = fog_factors(images.amax((1, 2, 3)), self.numbers, images.dtype == torch.uint8)
+        y: Tensor = add_layer(images, self.layer, None, factors)
+        return y
 
     def on_list(self, images: Sequence[Tensor], chosen: Tensor | None = None) -> list[Tensor]:
         """The results of images (C, H, W) of different sizes; those that are not `chosen`, (B,), stay as they are."""

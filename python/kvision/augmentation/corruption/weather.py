@@ -13,9 +13,9 @@ from kvision._constants import constant
 from kvision._dtype import compute_dtype
 from kvision.augmentation import ranges
 from kvision.augmentation.corruption.drops import drop_depths, drop_reliefs, mark_stains
-from kvision.augmentation.corruption.fog import FogOfList, fog_factors
+from kvision.augmentation.corruption.fog import Fog
 from kvision.augmentation.corruption.glass import reach_of
-from kvision.augmentation.corruption.layer import add_layer, layered
+from kvision.augmentation.corruption.layer import layered
 from kvision.augmentation.corruption.layer_base import LayerAugmentation
 from kvision.augmentation.engine import Execution, Params
 from kvision.augmentation.lists import filter_lists, statistics_lists
@@ -36,10 +36,10 @@ SpatterMode: TypeAlias = Literal["rain", "mud"]
 _COLORS = {"rain": (175 / 255, 238 / 255, 238 / 255), "mud": (63 / 255, 42 / 255, 20 / 255)}
 
 
-def fogged(x: Tensor, plasma: Tensor, amount: Tensor, images: Sequence[Tensor] | None = None) -> Operation | FogOfList:
+def fogged(plasma: Tensor, amount: Tensor, images: Sequence[Tensor] | None = None) -> Fog:
     """What puts images under clouds (B, 1, H, W), stretched to [0, 1], of amounts (B,); the brightest value stays as it is.
 
-    Those of a list are like a batch `x`, and the clouds as large as the largest of them.
+    The clouds of a list are as large as the largest image.
     """
     if images is None:
         low, high = torch.aminmax(plasma.flatten(1), dim=1)
@@ -48,10 +48,7 @@ def fogged(x: Tensor, plasma: Tensor, amount: Tensor, images: Sequence[Tensor] |
         beyond = ~(down.inside(plasma)[:, None, :, None] & right.inside(plasma)[:, None, None])
         low = plasma.masked_fill(beyond, torch.inf).amin((1, 2, 3))
         high = plasma.masked_fill(beyond, -torch.inf).amax((1, 2, 3))
-    numbers = torch.stack(torch.broadcast_tensors(amount, low, high), 1)
-    if images is not None:
-        return FogOfList(plasma, numbers)
-    return Operation(add_layer, (plasma, None, fog_factors(x.amax((1, 2, 3)), numbers, x.dtype == torch.uint8)))
+    return Fog(plasma, torch.stack(torch.broadcast_tensors(amount, low, high), 1))
 
 
 class RandomFog(LayerAugmentation, keeps_contract=True):
@@ -93,11 +90,11 @@ class RandomFog(LayerAugmentation, keeps_contract=True):
 
     def _operation(self, like: Tensor, params: Params) -> Any:
         plasma, amount = (params[name].to(like.device, compute_dtype(like)) for name in ("plasma", "intensity"))
-        return fogged(like, plasma, amount)
+        return fogged(plasma, amount)
 
     def _operation_on_list(self, images: Sequence[Tensor], like: Tensor, execution: Execution) -> Any:
         plasma = plasma_of_list(self, images, like, execution)
-        return fogged(like, plasma, self._drawn_params(like, execution)["intensity"].to(plasma), images)
+        return fogged(plasma, self._drawn_params(like, execution)["intensity"].to(plasma), images)
 
 
 def as_textures(op: str, texture: Any) -> Tensor:

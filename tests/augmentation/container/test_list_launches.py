@@ -56,6 +56,13 @@ class Launches(Calls):
         return operator(*args, **(kwargs or {}))
 
 
+def launches(augment, images, **options):
+    with warnings.catch_warnings(), Launches() as counted:
+        warnings.simplefilter("ignore")
+        augment(images, **options)
+    return counted.count
+
+
 def backward_launches(augment, images):
     leaves = [x.clone().requires_grad_() for x in images]
     with warnings.catch_warnings():
@@ -122,6 +129,41 @@ def test_calls_with_options(name, dtype, backend):
         pytest.skip("this test is about the kernels")
     augment = {**OPTIONS, **OPTIONS_BY_SIZE}[name]()
     assert grows(augment, pictures("cpu", SIZES, dtype)) == (name in OPTIONS_BY_SIZE)
+
+
+OF_THREE_CHANNELS = {"ColorJitter"}  # others image by image, as docs/inputs.md says
+
+
+@pytest.mark.parametrize("channels", [1, 2, 4])
+@pytest.mark.parametrize("case", IMAGES, ids=lambda case: case.name)
+def test_launches_for_other_channels(case, channels, backend):
+    if backend == "reference":
+        pytest.skip("this test is about the kernels")
+    augment, images = case.make(p=1.0), [x[:1].repeat(channels, 1, 1) for x in pictures("cpu", SIZES)]
+    counts = []
+    for some in (images[:3], images):
+        try:
+            launches(augment, some, seed=0)  # which makes constants
+        except ValueError:
+            pytest.skip("it takes three channels")
+        counts.append(launches(augment, some, seed=0))
+    assert (counts[1] > counts[0]) == (channels > 1 and case.name in OF_THREE_CHANNELS)
+
+
+@pytest.mark.parametrize("channels", [2, 4])
+@pytest.mark.parametrize("name", ["RandomGrayscale", "RandomChannelDropout", "factors"])
+def test_other_channels_become_what_those_of_each_image_become(name, channels, device):
+    make = {
+        "RandomGrayscale": lambda: A.RandomGrayscale(p=0.5),
+        "RandomChannelDropout": lambda: A.RandomChannelDropout(1, 0.3, p=0.5),
+        "factors": lambda: A.MultiplicativeNoise((0.5, 1.5), per_channel=True, p=0.5),
+    }[name]
+    for dtype in (torch.float32, torch.uint8):
+        images = [x[[0, 1, 2, 0][:channels]] for x in pictures(device, SIZES, dtype)]
+        augment, seeds = make(), seeds_of(images)
+        results = augment(images, seed=seeds)
+        for b, x in enumerate(images):
+            assert torch.equal(results[b], augment(x[None], seed=seeds[b : b + 1])[0])
 
 
 POLICIES = {

@@ -196,6 +196,41 @@ def test_boxes_that_left_and_came_back(device: torch.device) -> None:
         moved(clip_boxes="all")
 
 
+def test_boxes_that_begin_outside_and_come_in(device: torch.device) -> None:
+    """Of a batch, a list and an image alone: what no step has moved is not cut off, whatever others of the call got."""
+    augment = A.AugmentationSequential(
+        A.RandomApply(Shift(4.0)),
+        A.RandomApply(Shift(3.0)),
+        data_keys=["input", "bbox_xyxy", "keypoints"],
+        clip_boxes="each",
+    )
+    x, seeds = torch.zeros(16, 1, 8, 12, device=device), torch.arange(16, device=device)
+    boxes = torch.tensor([[[-3.0, 2, 2, 4]]], device=device).repeat(16, 1, 1)
+    points = torch.tensor([[[-3.0, 2]]], device=device).repeat(16, 1, 1)
+    _, moved, _ = augment(x, boxes, points, seed=seeds)
+    (visible,) = augment.visible_points
+    _, of_list, _ = augment([own[..., :width] for own, width in zip(x, [12, 11] * 8)], [*boxes], [*points], seed=seeds)
+    assert {tuple(box[0].tolist()) for box in moved} == {(0, 2, 2, 4), (1, 2, 6, 4), (0, 2, 5, 4), (4, 2, 9, 4)}
+    assert torch.equal(moved, torch.stack([*of_list])) and torch.equal(
+        visible, torch.stack([*augment.visible_points[0]])
+    )
+    for i in range(16):
+        assert torch.equal(augment(x[i : i + 1], boxes[:1], points[:1], seed=seeds[i : i + 1])[1], moved[i : i + 1])
+        assert torch.equal(augment.visible_points[0], visible[i : i + 1])
+
+
+def test_boxes_of_samples_of_several_sizes_are_cut_off_at_their_own_edges(device: torch.device) -> None:
+    """Between the turns of a choice, as they are alone."""
+    order = A.RandomOrder(A.Resize((32, 40)), Shift(9.0), Shift(-9.0))
+    augment = A.AugmentationSequential(order, data_keys=["input", "bbox_xyxy"], clip_boxes="each")
+    x, seeds = torch.zeros(8, 1, 16, 20, device=device), torch.arange(8, device=device)
+    boxes = torch.tensor([[[2.0, 4.0, 18.0, 14.0]]], device=device).repeat(8, 1, 1)
+    _, moved = augment(x, boxes, seed=seeds)
+    assert len({*moved.flatten(1).unbind(0)}) > 1
+    for i in range(8):
+        torch.testing.assert_close(augment(x[i : i + 1], boxes[:1], seed=seeds[i : i + 1])[1], moved[i : i + 1])
+
+
 def test_boxes_clipped_at_each_step_are_tight(device: torch.device) -> None:
     children = A.RandomAffine(40.0, (0.3, 0.3), p=1.0), A.RandomPerspective(0.3, p=1.0), A.RandomAffine(40.0, p=1.0)
     image = coordinate_image(120, 160, device)

@@ -210,25 +210,30 @@ class BoxFilter(NamedTuple):
 
 
 def filter_boxes(
-    boxes: Any, mode: str, size: Sequence[Any], rule: BoxFilter, fraction: Tensor | None = None
+    boxes: Any,
+    mode: str,
+    size: Sequence[Any],
+    rule: BoxFilter,
+    fraction: Tensor | None = None,
+    samples: Sequence[int] | None = None,
 ) -> tuple[Any, Any]:
     """Boxes in images of a size (H, W), or of two (B, 1), by a rule, and which of them stay: bool (B, N), or a list of (N,).
 
     `fraction` (B, N) is the visible fraction of areas before these boxes were cut off, None for 1. Lists become shorter; in
-    tensors the boxes that do not stay are 0.
+    tensors the boxes that do not stay are 0. Of others than some `samples`, if there are such, all stay as they are.
     """
     if isinstance(boxes, (list, tuple)):
         if not boxes:
             return boxes, []
         padded, sizes = pad(boxes)
-        filtered, is_kept = _filtered(padded, mode, size, rule, fraction)
+        filtered, is_kept = _filtered(padded, mode, size, rule, fraction, samples)
         rows = [row[:n] for row, n in zip(is_kept, sizes)]
         return leave_boxes(_rows_of(boxes, filtered), rows), rows
     if hasattr(boxes, "transform_boxes"):  # kvision.geometry.boxes.Boxes
         filtered = boxes.clone()
-        filtered._data, kept = _filtered(boxes._data, "vertices", size, rule, fraction)
+        filtered._data, kept = _filtered(boxes._data, "vertices", size, rule, fraction, samples)
         return filtered, kept
-    return _filtered(boxes, mode, size, rule, fraction)
+    return _filtered(boxes, mode, size, rule, fraction, samples)
 
 
 def leave_boxes(boxes: Any, kept: Any) -> Any:
@@ -236,6 +241,21 @@ def leave_boxes(boxes: Any, kept: Any) -> Any:
     if isinstance(boxes, (list, tuple)):
         return type(boxes)(_that_stay(boxes, kept))
     return clear_boxes(boxes, kept)
+
+
+def all_kept(boxes: Any, mode: str) -> Any:
+    """That all boxes stay, in the shape of `filter_boxes`."""
+    if isinstance(boxes, (list, tuple)):
+        return [all_kept(part, mode) for part in boxes]
+    values, is_corners = (boxes, mode == "vertices") if isinstance(boxes, Tensor) else (boxes._data, True)
+    return torch.ones(values.shape[: -2 if is_corners else -1], dtype=torch.bool, device=values.device)
+
+
+def leave_fractions(fraction: Tensor, kept: Any, samples: Sequence[int] | None = None) -> Tensor:
+    """Visible fractions (B, N) of the areas of boxes that are kept, which are 1 again of some samples."""
+    if isinstance(kept, (list, tuple)):
+        fraction, _ = pad(_that_stay([row[: len(own)] for row, own in zip(fraction, kept)], kept))
+    return fraction if samples is None else fraction.index_fill(0, index_of(samples, fraction), 1.0)
 
 
 def kept_boxes(boxes: Any, mode: str, keeps: Callable[[Tensor], Tensor | None]) -> Any:
@@ -266,7 +286,12 @@ def clear_boxes(boxes: Any, kept: Any) -> Any:
 
 
 def _filtered(
-    boxes: Tensor, mode: str, size: Sequence[Any], rule: BoxFilter, fraction: Tensor | None
+    boxes: Tensor,
+    mode: str,
+    size: Sequence[Any],
+    rule: BoxFilter,
+    fraction: Tensor | None,
+    samples: Sequence[int] | None,
 ) -> tuple[Tensor, Tensor]:
     values = _computed(boxes)
     corners = box_corners(values, mode)
@@ -287,7 +312,12 @@ def _filtered(
         inside = torch.stack([x, y, right, y, right, bottom, x, bottom], -1).reshape(corners.shape)
         values = inside if mode == "vertices" else _boxes_around(inside, mode)
     axes = (..., *[None] * (boxes.dim() - kept.dim()))
-    return _as_type(torch.where(kept[axes], values, 0), boxes), kept
+    filtered = _as_type(torch.where(kept[axes], values, 0), boxes)
+    if samples is None:
+        return filtered, kept
+    index = index_of(samples, kept)
+    kept = torch.ones_like(kept).index_copy(0, index, kept.index_select(0, index))
+    return boxes.index_copy(0, index, filtered.index_select(0, index)), kept
 
 
 def _inside(points: Tensor, size: Sequence[Any]) -> Tensor:
@@ -601,17 +631,16 @@ def kept_by_both(before: dict[int, Any], after: dict[int, Any]) -> dict[int, Any
     for i, own in after.items():
         first = before.get(i)
         if isinstance(own, (list, tuple)):
-            both[i] = own if first is None else type(own)(_of_kept(a, b) for a, b in zip(first, own))
+            both[i] = own if not first else type(own)(_of_kept(first, own))
         else:
             both[i] = own if first is None or first.shape != own.shape else first & own
     return both
 
 
-def _of_kept(first: Tensor, own: Tensor) -> Tensor:
-    """Which of the boxes stay, if those of the first have become a shorter list."""
-    both = first.clone()
-    both[first] = own
-    return both
+def _of_kept(first: Sequence[Tensor], own: Sequence[Tensor]) -> Sequence[Tensor]:
+    """Which of the boxes of each image stay, if those of the first have become a shorter list."""
+    flat = torch.cat(list(first))
+    return flat.masked_scatter(flat, torch.cat(list(own))).split([len(row) for row in first])
 
 
 # --- rectangles and polygons ----------------------------------------------------------------------------------------

@@ -36,6 +36,21 @@ AUGMENTATIONS = {
     "one of": lambda: [A.OneOf(A.RandomHorizontalFlip(), A.RandomAffine(20.0), A.RandomErasing(p=1.0)), A.Transpose()],
     "some of": lambda: [A.SomeOf([A.RandomHorizontalFlip(), A.RandomAffine(20.0), A.RandomVerticalFlip()], 2)],
     "applied": lambda: [A.RandomApply([A.RandomAffine(20.0), A.ColorJitter(0.2, 0.2)]), A.CenterCrop((30, 30))],
+    "filtered inside": lambda: [
+        A.RandomAffine(20.0, (0.3, 0.3)),
+        A.AugmentationSequential(A.RandomAffine(20.0, (0.3, 0.3)), A.Transpose(), clip_boxes="each"),
+        A.RandomHorizontalFlip(),
+        A.AugmentationSequential(A.ColorJitter(0.2), min_box_area=60.0),
+    ],
+    "filtered in a choice": lambda: [
+        A.RandomAffine(20.0, p=1.0),
+        A.OneOf(
+            A.AugmentationSequential(A.RandomAffine(20.0, (0.3, 0.3), p=1.0), min_box_visibility=0.5),
+            A.Transpose(p=1.0),
+        ),
+        A.RandomApply([A.LongestMaxSize(48), A.AugmentationSequential(A.RandomRotation(30.0), clip_boxes=True)]),
+        A.RandomAffine(20.0, p=1.0),
+    ],
     "inside": lambda: [
         A.ImageSequential(A.Transpose(), A.RandomApply([A.RandomRotation(9.0)])),
         A.RandomVerticalFlip(),
@@ -83,6 +98,23 @@ def test_labels_follow_as_alone(name, filters, device):
         assert all(torch.equal(mine[b], alone[0]) for mine, alone in zip(visible, augment.visible_points))
         assert len(kept) == len(augment.kept_boxes)
         assert all(torch.equal(mine[b], alone[0]) for mine, alone in zip(kept, augment.kept_boxes))
+
+
+def test_images_that_no_filter_met_keep_their_boxes(device):
+    """Which boxes stay is said for each of them, also of a list in parts, and of one image."""
+    inner = A.AugmentationSequential(A.RandomAffine(0.0, (0.9, 0.9), p=1.0), clip_boxes=True)
+    images = pictures(device)
+    boxes = [torch.tensor([[1.0, 1, 9, 9]], device=device).repeat(n, 1) for n in COUNTS]
+    for other in (A.RandomHorizontalFlip(), A.RandomElasticTransform((3, 3), (1.0, 1.0), p=1.0)):
+        augment = A.AugmentationSequential(A.RandomApply([inner, other]), data_keys=["input", "bbox_xyxy"])
+        for seed in range(4):
+            seeds = seeds_of(images) + 4 * seed
+            augment(images, boxes, seed=seeds)
+            (kept,) = augment.kept_boxes
+            assert [len(own) for own in kept] == [*COUNTS]
+            for b, x in enumerate(images):
+                augment(x[None], boxes[b : b + 1], seed=seeds[b : b + 1])
+                assert torch.equal(augment.kept_boxes[0][0], kept[b])
 
 
 @pytest.mark.parametrize("filters", FILTERS)

@@ -14,6 +14,7 @@ from kvision.augmentation import labels
 from kvision.augmentation.arguments import Arguments, as_given
 from kvision.augmentation.engine.call_labels import CallLabels
 from kvision.augmentation.engine.chain_executor import check_rigid
+from kvision.augmentation.engine.configuration import kept
 from kvision.augmentation.engine.image_sequential import ImageSequential
 from kvision.augmentation.engine.label_record import LabelRecord, labels_back
 from kvision.augmentation.engine.label_settings import LabelSettings, MaskReading
@@ -334,7 +335,16 @@ class AugmentationSequential(ImageSequential):
     @property
     def _label_settings(self) -> LabelSettings:
         extra_args, default = self.extra_args, self._default_extra_args
-        return LabelSettings(self._clips_each, self.box_filter, MaskReading.of(extra_args), extra_args is default)
+        reading = MaskReading.of(extra_args)
+        return LabelSettings(
+            self._clips_each, self.box_filter, reading, extra_args is default, self._may_remove_boxes()
+        )
+
+    @kept
+    def _may_remove_boxes(self) -> bool:
+        filters = (m.box_filter for m in self.modules() if isinstance(m, AugmentationSequential))
+        removes = any(getattr(m, "removes_boxes", False) for m in self.modules())
+        return removes or any(not rule.does_nothing for rule in filters)
 
     def _video_layout(self, videos: Any) -> VideoLayout | None:
         """The layout of videos, which containers with a VideoSequential take."""
@@ -345,7 +355,10 @@ class AugmentationSequential(ImageSequential):
 
     @property
     def kept_boxes(self) -> list[Any]:
-        """Which boxes of the last call passed the filter: bool (B, N), or a list of (N,), for each input; empty without one."""
+        """Which boxes of the last call passed the filter: bool (B, N), or a list of (N,), for each input; empty without one.
+
+        All of an image that a filter inside has not met, by a choice or a chance.
+        """
         return self._read_labels(lambda moves: moves.kept_boxes)
 
     @property

@@ -14,8 +14,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from kvision.augmentation.engine.lists import SizeOfEach
-from kvision.augmentation.engine.stages import Chain
+from kvision._constants import on_device
+from kvision.augmentation.engine.stages import Chain, Stage
 from kvision.augmentation.labels import (
     around_outlines,
     clip_polygons,
@@ -40,6 +40,8 @@ class LabelMoves:
         stages: the stages.
         size: height and width of the results, of a list (B, 1) of each; depth, height and width of volumes.
         clips: boxes end at the edges of the image after each stage.
+
+    Samples that have not been through a stage yet are as they were given: nothing of theirs has left the image.
     """
 
     def __init__(self, stages: Chain, size: Sequence[Any], clips: bool = False) -> None:
@@ -63,14 +65,22 @@ class LabelMoves:
         return where_chosen(is_mapped, moved, by_matrices), visible
 
     def are_visible(self, moved: Tensor) -> Tensor:
-        """Which moved points (B, N, 2 or 3) are in the results, and were in those before: bool (B, N)."""
-        visible = is_within(moved, self.size)
-        for stage in reversed(self.stages):
+        """Which moved points (B, N, 2 or 3) are in the results, and were in those before: bool (B, N).
+
+        Those of samples that no stage has moved are.
+        """
+        visible = where_chosen(_members(moved, self.stages), is_within(moved, self.size), True)
+        for i, stage in reversed(list(enumerate(self.stages))):
             moved = stage.move_points_back(moved)
-            if stage is not self.stages[0] and (size := stage.source_size()) is not None:
-                bounds = _bounds(size)
-                visible = visible & where_chosen(bounds, is_within(moved, size), True)
+            if i > 0 and (size := stage.source_size()) is not None:
+                members = _members(moved, self.stages[:i], stage)
+                visible = visible & where_chosen(members, is_within(moved, size), True)
         return visible
+
+    @property
+    def concerns_all(self) -> bool:
+        """Whether all samples have been through a stage."""
+        return any(stage.members() is None for stage in self.stages)
 
     def _refined(self, points: Tensor, positions: Tensor, is_exact: Tensor) -> Tensor:
         """Positions after a step of Newton's method, by which they have gradients and follow what is between nodes."""
@@ -129,17 +139,18 @@ class LabelMoves:
         for i, stage in enumerate(self.stages):
             polygons = stage.move_points(polygons.flatten(1, 2)).reshape(polygons.shape)
             is_last = i == len(self.stages) - 1
-            size: Sequence[Any] | None = self.size if is_last else self.stages[i + 1].source_size()
+            size = stage.result_size() or (self.size if is_last else self.stages[i + 1].source_size())
             if size is not None:
-                whole, bounds = polygon_area(polygons), _bounds(size)
+                whole, members = polygon_area(polygons), _members(polygons, [stage])
                 clipped, is_inside = clip_polygons(polygons, size)
                 part = torch.where(is_inside, (polygon_area(clipped) / whole).nan_to_num(1.0), 0.0)
-                fraction = fraction * where_chosen(bounds, part, 1.0)
-                if bounds is not None:  # as many vertices in all images
+                fraction = fraction * where_chosen(members, part, 1.0)
+                if members is not None:  # as many vertices in all images
                     first = polygons[..., :1, :].expand(*polygons.shape[:-2], clipped.shape[-2] - polygons.shape[-2], 2)
-                    clipped = where_chosen(bounds, clipped, torch.cat([polygons, first], -2))
+                    clipped = where_chosen(members, clipped, torch.cat([polygons, first], -2))
                 polygons = clipped
-        return rectangle_around(polygons), fraction.clamp(max=1)
+        moved = where_chosen(_members(polygons, self.stages), rectangle_around(polygons), corners)
+        return moved, fraction.clamp(max=1)
 
     # --- maps ---
 
@@ -169,7 +180,8 @@ class LabelMoves:
             else:
                 positions = stage.move_points_back(positions)
             if i > 0 and (size := stage.source_size()) is not None:
-                reads = reads & is_within(positions, size, margin=1.0).reshape(shape)  # some of a pixel, interpolated
+                inside = is_within(positions, size, margin=1.0).reshape(shape)  # some of a pixel, interpolated
+                reads = reads & where_chosen(_members(positions, stages[:i], stage), inside, True)
         return positions.unflatten(1, shape[1:]), reads
 
     def _is_mapped(self) -> Tensor | None:
@@ -182,9 +194,18 @@ class LabelMoves:
         return any_chosen
 
 
-def _bounds(size: Any) -> Tensor | None:
-    """Which images (B,) of a list labels end at the edges of; None for all."""
-    return size.bounds if isinstance(size, SizeOfEach) else None
+def _members(like: Tensor, stages: Sequence[Stage], then: Stage | None = None) -> Tensor | None:
+    """Which samples (B,) of points or boxes like these have been through any of some stages, and `then` one; None for all."""
+    each = [stage.members() for stage in stages]
+    members: set[int] | None = None
+    if not any(samples is None for samples in each):
+        members = {sample for samples in each for sample in samples or ()}
+    own = None if then is None else then.members()
+    if own is not None:
+        members = {*own} if members is None else members.intersection(own)
+    if members is None:
+        return None
+    return on_device(torch.tensor([i in members for i in range(len(like))], device="cpu"), like.device)
 
 
 def move_boxes_back(stages: Chain, corners: Tensor, is_upright: bool) -> tuple[Tensor, None]:

@@ -70,6 +70,10 @@ class LabelRecord:
                 moved[i] = self._move_points(i, moved[i], Chain(), self.size, self.settings)
             if key == DataKey.KEYPOINTS and labels.has_visibility(moved[i], self._numbers_of_points):
                 moved[i] = labels.hide_points(moved[i], self._visible(i), self._numbers_of_points)
+        if self.settings.may_remove_boxes:
+            for i, key in enumerate(keys):
+                if key in BOX_FORMATS and i not in kept:
+                    kept[i] = labels.all_kept(moved[i], BOX_FORMATS[key])
         self.kept_boxes = [kept[i] for i in sorted(kept)]
         for moves in self._moves.values():
             moves.forget_map()
@@ -82,13 +86,22 @@ class LabelRecord:
     # --- through the stages ---
 
     def _move_through(
-        self, keys: Sequence[DataKey], values: list[Any], stages: Chain, size: Size, settings: LabelSettings
+        self,
+        keys: Sequence[DataKey],
+        values: list[Any],
+        stages: Chain,
+        size: Size,
+        settings: LabelSettings,
+        samples: Sequence[int] | None = None,
     ) -> Kept:
-        """Move all but masks through the stages of a container, and filter them as it says; gives the boxes that stay."""
+        """Move all but masks through the stages of a container, and filter them as it says; gives the boxes that stay.
+
+        Those of some `samples` alone, if only these have been in the container.
+        """
         kept: Kept = {}
         has_boxes = any(key in BOX_FORMATS for key in keys)
         for part, after in _parts(stages, has_boxes):
-            part_size = after.source_size() or size
+            part_size = part.result_size() or after.source_size() or size
             if isinstance(part, Chain) and not isinstance(part, Nested):
                 if removed := self._kept_by_centers(keys, values, part):
                     self._leave(keys, values, removed)
@@ -100,12 +113,14 @@ class LabelRecord:
             else:
                 own = part.labels or LabelSettings()
                 own = own._replace(clips_each=own.clips_each or settings.clips_each)
-                kept = labels.kept_by_both(kept, self._move_through(keys, values, part, part_size, own))
-        if not has_boxes or settings.box_filter.does_nothing:
-            for i, of_input in kept.items():
-                values[i] = labels.clear_boxes(values[i], of_input)
-            return kept
-        return labels.kept_by_both(kept, self._filter(keys, values, size, settings.box_filter))
+                inner = self._move_through(keys, values, part, part_size, own, part.members())
+                kept = labels.kept_by_both(kept, inner)
+        was_kept = bool(kept)
+        if has_boxes and not settings.box_filter.does_nothing:
+            kept = labels.kept_by_both(kept, self._filter(keys, values, size, settings.box_filter, samples))
+        for i, of_input in kept.items() if was_kept else ():  # zeros have moved since
+            values[i] = labels.clear_boxes(values[i], of_input)
+        return kept
 
     def _mix(self, keys: Sequence[DataKey], values: list[Any], stage: Applied) -> None:
         """What belongs to images whose samples are mixed."""
@@ -115,14 +130,25 @@ class LabelRecord:
             if key not in (DataKey.INPUT, DataKey.MASK):
                 values[i] = module._mixed_labels(key, values[i], stage.execution, boxes)
                 self._points.pop(i, None)
+                self._fractions.pop(i, None)
 
-    def _filter(self, keys: Sequence[DataKey], values: list[Any], size: Size, rule: labels.BoxFilter) -> Kept:
-        """Leave the boxes that a rule keeps, with their class labels and masks."""
+    def _filter(
+        self,
+        keys: Sequence[DataKey],
+        values: list[Any],
+        size: Size,
+        rule: labels.BoxFilter,
+        samples: Sequence[int] | None,
+    ) -> Kept:
+        """Leave the boxes that a rule keeps, with their class labels and masks; all of others than some `samples`."""
         kept: Kept = {}
         for i, key in enumerate(keys):
             if key in BOX_FORMATS:
                 fraction = self._fractions.pop(i, None)
-                values[i], kept[i] = labels.filter_boxes(values[i], BOX_FORMATS[key], size, rule, fraction)
+                mode = BOX_FORMATS[key]
+                values[i], kept[i] = labels.filter_boxes(values[i], mode, size, rule, fraction, samples)
+                if samples is not None and fraction is not None:
+                    self._fractions[i] = labels.leave_fractions(fraction, kept[i], samples)
         self._leave_of_boxes(keys, values, kept)
         return kept
 
@@ -141,6 +167,9 @@ class LabelRecord:
         """Leave the boxes that are kept, with their class labels and masks."""
         for i, of_input in kept.items():
             values[i] = labels.leave_boxes(values[i], of_input)
+            fraction = self._fractions.get(i)
+            if fraction is not None:
+                self._fractions[i] = labels.leave_fractions(fraction, of_input)
         self._leave_of_boxes(keys, values, kept)
 
     def _kept_by_centers(self, keys: Sequence[DataKey], values: list[Any], stages: Chain) -> Kept:
@@ -161,7 +190,12 @@ class LabelRecord:
             raise NotImplementedError(f"{_OP}: boxes of volumes cannot be moved; masks and key points can")
         self._check_batch(key.name.lower(), value, 4 if key == DataKey.BBOX else 3)
         moves = self._moves_of(stages, size, settings)
-        moved, self._fractions[i] = labels.move_boxes(value, BOX_FORMATS[key], moves.move_boxes)
+        moved, fraction = labels.move_boxes(value, BOX_FORMATS[key], moves.move_boxes)
+        before = self._fractions.get(i)
+        if fraction is None or before is None:
+            self._fractions[i] = before if fraction is None else fraction
+        else:
+            self._fractions[i] = before * fraction
         return moved
 
     def _move_points(self, i: int, points: Any, stages: Chain, size: Size, settings: LabelSettings) -> Any:
@@ -198,13 +232,14 @@ class LabelRecord:
 
     def _visible(self, i: int) -> Any:
         """Which points of an input are in the results, and were in all before."""
-        visible: Any = None
-        for points, moves, known in self._points[i]:
-            are_visible = moves.are_visible if known is None else _constant(known)
-            own = labels.visible_points(points, are_visible, self._numbers_of_points)
-            if visible is None:
-                visible = own
-            elif isinstance(own, Tensor):
+        numbers, parts = self._numbers_of_points, self._points[i]
+        each = [(p, moves.are_visible if known is None else _constant(known)) for p, moves, known in parts]
+        points, moves, _ = parts[-1]
+        if not moves.concerns_all:  # others have been inside behind what moved them last
+            each.append((points, functools.partial(labels.is_within, size=self.size)))
+        visible, *others = [labels.visible_points(points, are_visible, numbers) for points, are_visible in each]
+        for own in others:
+            if isinstance(own, Tensor):
                 visible = visible & own
             else:
                 visible = type(own)(a & b for a, b in zip(visible, own))

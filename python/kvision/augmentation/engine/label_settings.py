@@ -40,3 +40,4 @@ class LabelSettings(NamedTuple):
     box_filter: BoxFilter = BoxFilter()
     masks: MaskReading = MaskReading()
     has_default_masks: bool = False  # `masks` is only for a container by itself; the one around it decides
+    may_remove_boxes: bool = False  # it, or what is in it

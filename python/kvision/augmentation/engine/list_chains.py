@@ -270,8 +270,8 @@ class _Inside(NamedTuple):
     settings: LabelSettings | None
 
     def moves(self) -> Moves | None:
-        filters = self.settings is not None and not self.settings.box_filter.does_nothing
-        return None if filters else self.parts.moves()
+        moves: Moves | None = self.parts.moves()
+        return None if moves is None else moves.inside(self.settings)
 
     def moved_masks(self, masks: Any, reading: MaskReading) -> Sequence[Tensor] | None:
         return self.parts.moved_masks(masks, reading.inside(self.settings))
@@ -284,7 +284,7 @@ class _Still(NamedTuple):
     samples: Sequence[int]
 
     def moves(self) -> Moves:
-        return Moves([Move(None, self.sides, self.samples)] if self.samples else [], self.sides)
+        return Moves([Move(None, self.sides, self.sides, self.samples)] if self.samples else [], self.sides)
 
     def moved_masks(self, masks: Any, reading: MaskReading) -> Any:
         return masks

@@ -9,7 +9,8 @@ import torch
 from torch import Tensor
 
 from kvision._dtype import as_dtype, compute_dtype
-from kvision.augmentation.engine.lists import OnList, SizeOfEach, WarpOfList
+from kvision.augmentation.engine.label_settings import LabelSettings
+from kvision.augmentation.engine.lists import OnList, Round, SizeOfEach, WarpOfList, with_sides
 from kvision.augmentation.engine.passes import Joined
 from kvision.augmentation.engine.sized import ImagesOfList
 from kvision.augmentation.engine.stages import Stage
@@ -72,75 +73,170 @@ def label_steps(
 
 
 class Move(NamedTuple):
-    """A step on some images of a list: all, where `samples` is None. `before` has height and width of all before it."""
+    """A step on some images of a list: all, where `samples` is None. Sizes are height and width of all images around it."""
 
     matrix: Tensor | None
     before: Sequence[int]
+    after: Sequence[int]
     samples: Sequence[int] | None = None
+
+    def of_some(self, samples: Sequence[int], sides: Sequence[int]) -> Move:
+        """The same as a step on some images of a list of these sizes."""
+        before, after = (with_sides(sides, samples, own) for own in (self.before, self.after))
+        return Move(self.matrix, before, after, _places(samples, self.samples))
+
+    def stage(self, device: torch.device) -> Stage:
+        """The same as a stage of all images."""
+        matrix, samples, count = self.matrix, self.samples, len(self.before) // 2
+        before, after = SizeOfEach(self.before, device), SizeOfEach(self.after, device)
+        if matrix is None:
+            return OnList(before, after, samples)
+        if samples is not None:
+            identity = torch.eye(3, dtype=matrix.dtype, device=matrix.device).expand(count, 3, 3)
+            matrix = identity.index_copy(0, index_of(samples, matrix), matrix)
+        return WarpOfList(before, after, samples, matrix)
+
+
+class Inside(NamedTuple):
+    """The moves in a container inside through which some images of a list went, where boxes are filtered in it."""
+
+    moves: Sequence[Any]  # of Move and Inside
+    after: Sequence[int]
+    settings: LabelSettings
+    samples: Sequence[int] | None = None
+
+    def of_some(self, samples: Sequence[int], sides: Sequence[int]) -> Inside:
+        """As that of :class:`Move`."""
+        moves, places = [move.of_some(samples, sides) for move in self.moves], _places(samples, self.samples)
+        return Inside(moves, with_sides(sides, samples, self.after), self.settings, places)
+
+    @property
+    def filters(self) -> bool:
+        """Whether boxes are filtered at its end."""
+        return not self.settings.box_filter.does_nothing
+
+    def filtered(self) -> set[int]:
+        """The images of which boxes are filtered in it."""
+        members = range(len(self.after) // 2) if self.samples is None else self.samples
+        if self.filters:
+            return {*members}
+        return {i for move in self.moves if isinstance(move, Inside) for i in move.filtered()}
+
+
+def _places(samples: Sequence[int], inner: Sequence[int] | None) -> Sequence[int]:
+    return samples if inner is None else [samples[i] for i in inner]
 
 
 class Moves(NamedTuple):
     """What boxes and points of a list of images follow, and height and width of the results."""
 
-    moves: Sequence[Move]
+    moves: Sequence[Move | Inside]
     after: Sequence[int]
+
+    def inside(self, settings: LabelSettings | None) -> Moves:
+        """The same in a container that is a child, with its settings."""
+        if settings is None:
+            settings = LabelSettings()
+        inside = Inside(self.moves, self.after, settings)
+        return Moves([inside], self.after) if inside.filtered() else self
 
     def stages(self, device: torch.device) -> tuple[list[Stage], SizeOfEach]:
         """The same as stages of all images, and the sizes of results."""
-        count = len(self.after) // 2
-        has_moved, is_partial = [False] * count, any(move.samples is not None for move in self.moves)
-        stages: list[Stage] = []
-        for matrix, before, samples in self.moves:
-            bounds: list[bool] | None = None
-            if is_partial:
-                members = range(count) if samples is None else samples
-                bounds = [False] * count
-                for i in members:
-                    bounds[i], has_moved[i] = has_moved[i], True
-            sizes = SizeOfEach(before, device, bounds)
-            if matrix is None:
-                stages.append(OnList(sizes))
+        moves, stages = self.moves, list[Stage]()
+        if any(isinstance(move, Inside) for move in moves):
+            stages += _Rounds(len(self.after) // 2, device).of(moves)
+        else:
+            stages += [move.stage(device) for move in moves]  # type: ignore[union-attr]  # by the line above
+        return stages, SizeOfEach(self.after, device)
+
+
+class _Rounds:
+    """Moves of images whose boxes are filtered at different times, as rounds.
+
+    Each round has the moves of each image between two of its own filters, which labels follow together: between others an image
+    by itself has one.
+    """
+
+    def __init__(self, count: int, device: torch.device) -> None:
+        self._device, self._round = device, [0] * count  # of each image
+        self._moves: dict[tuple[int, bool], list[Move]] = {}  # of each round those that clip each, and others
+        self._filters: dict[int, list[Round]] = {}
+
+    def of(self, moves: Sequence[Move | Inside]) -> list[Stage]:
+        """The rounds of moves."""
+        self._add(moves, False)
+        rounds: list[Stage] = []
+        for number in range(max(self._round) + 1):
+            for clips in (False, True):
+                own = self._moves.get((number, clips))
+                if own is not None:
+                    rounds.append(self._moved(own, clips))
+            rounds += self._filters.get(number, [])
+        return rounds
+
+    def _moved(self, moves: Sequence[Move], clips: bool) -> Round:
+        after = moves[0].after
+        for move in moves[1:]:
+            assert move.samples is not None
+            after = with_sides(after, move.samples, [n for i in move.samples for n in move.after[2 * i : 2 * i + 2]])
+        stages = [move.stage(self._device) for move in moves]
+        return Round(stages, LabelSettings(clips), SizeOfEach(after, self._device))
+
+    def _add(self, moves: Sequence[Move | Inside], clips: bool) -> None:
+        for move in moves:
+            if isinstance(move, Inside):
+                filtered = sorted(move.filtered())
+                self._end(filtered)
+                self._add(move.moves, clips or move.settings.clips_each)
+                for number, images in self._by_round(filtered if move.filters else []):
+                    settings = LabelSettings(False, move.settings.box_filter)
+                    own = Round([], settings, SizeOfEach(move.after, self._device), images)
+                    self._filters.setdefault(number, []).append(own)
+                self._end(filtered)
                 continue
-            if samples is not None:
-                identity = torch.eye(3, dtype=matrix.dtype, device=matrix.device).expand(count, 3, 3)
-                matrix = identity.index_copy(0, index_of(samples, matrix), matrix)
-            stages.append(WarpOfList(sizes, matrix))
-        return stages, SizeOfEach(self.after, device, has_moved if is_partial else None)
+            samples = range(len(self._round)) if move.samples is None else move.samples
+            row_of = {sample: row for row, sample in enumerate(samples)}
+            for number, images in self._by_round(samples):
+                matrix = move.matrix
+                if matrix is not None and len(images) < len(samples):
+                    matrix = matrix.index_select(0, index_of([row_of[i] for i in images], matrix))
+                own_move = Move(matrix, move.before, move.after, images)
+                self._moves.setdefault((number, clips), []).append(own_move)
+
+    def _by_round(self, samples: Sequence[int]) -> list[tuple[int, list[int]]]:
+        groups: dict[int, list[int]] = {}
+        for sample in samples:
+            groups.setdefault(self._round[sample], []).append(sample)
+        return list(groups.items())
+
+    def _end(self, samples: Sequence[int]) -> None:
+        for sample in samples:
+            self._round[sample] += 1
 
 
 def moves_of_run(run: Any) -> Moves | None:
     """Those of a run on a list; None where labels do not follow the matrices of its warps, or one removes boxes."""
-    moves: list[Move] = []
+    moves: list[Move | Inside] = []
     sides = run.sides
     for step in run.label_steps:
         for module in [run.modules[n] for n in step.numbers]:
             by_matrix = step.matrix is not None and module._warps_points and not module.removes_boxes
             if not (module.keeps_positions or by_matrix):
                 return None
-        moves.append(Move(step.matrix, step.before))
+        moves.append(Move(step.matrix, step.before, step.after))
         sides = step.after
     return Moves(moves, sides)
 
 
 def joined_moves(sides: Sequence[int], parts: Iterable[tuple[Sequence[int], Moves | None]]) -> Moves | None:
     """The moves of images of these sizes of which each part has moved some, one after the other."""
-    moves: list[Move] = []
+    moves: list[Move | Inside] = []
     for samples, own in parts:
         if own is None:
             return None
         if 2 * len(samples) == len(sides):
             moves, sides = [*moves, *own.moves], own.after
             continue
-        for matrix, before, inner in own.moves:
-            places = samples if inner is None else [samples[i] for i in inner]
-            moves.append(Move(matrix, with_sides(sides, samples, before), places))
+        moves += [move.of_some(samples, sides) for move in own.moves]
         sides = with_sides(sides, samples, own.after)
     return Moves(moves, sides)
-
-
-def with_sides(sides: Sequence[int], samples: Sequence[int], own: Sequence[int]) -> list[int]:
-    """Height and width of each image with those of some replaced."""
-    every = list(sides)
-    for place, i in enumerate(samples):
-        every[2 * i : 2 * i + 2] = own[2 * place : 2 * place + 2]
-    return every

@@ -13,7 +13,8 @@ from torch.compiler import is_compiling
 from kvision.augmentation.engine.call_context import CallContext
 from kvision.augmentation.engine.execution import Shape, matrix_type
 from kvision.augmentation.engine.label_settings import MaskReading
-from kvision.augmentation.engine.list_moves import Moves, joined_moves, moves_of_run, with_sides
+from kvision.augmentation.engine.list_moves import Moves, joined_moves, moves_of_run
+from kvision.augmentation.engine.lists import with_sides
 from kvision.augmentation.engine.parts import Parts
 from kvision.augmentation.engine.passes import Alone, Joined, Running, plan_steps
 from kvision.augmentation.engine.record import Child, Record

@@ -11,8 +11,8 @@ from torch import Tensor
 
 from kvision._constants import on_device
 from kvision.augmentation import labels
-from kvision.augmentation.engine.label_settings import MaskReading
-from kvision.augmentation.engine.stages import ByMatrix, Stage, Warp
+from kvision.augmentation.engine.label_settings import LabelSettings, MaskReading
+from kvision.augmentation.engine.stages import ByMatrix, Nested, Stage, Warp
 from kvision.augmentation.maps import exact, exact_each, warp_each
 from kvision.core.exceptions import ShapeError
 
@@ -20,9 +20,15 @@ from kvision.core.exceptions import ShapeError
 class SizeOfEach(Sequence[Tensor]):
     """Heights and widths (B, 1) of images, on their device when they are asked for."""
 
-    def __init__(self, sides: Sequence[int], device: torch.device, samples: Sequence[bool] | None = None) -> None:
-        self._sides, self._device, self._samples = sides, device, samples
+    def __init__(self, sides: Sequence[int], device: torch.device) -> None:
+        self._sides, self._device = sides, device
         self._of_axes: Tensor | None = None
+
+    @staticmethod
+    def sides_of(size: Any, count: int) -> Sequence[int]:
+        """Height and width of each of `count` images of a size."""
+        sides: Sequence[int] = size._sides if isinstance(size, SizeOfEach) else [*size] * count
+        return sides
 
     def __len__(self) -> int:
         return 2
@@ -33,27 +39,55 @@ class SizeOfEach(Sequence[Tensor]):
             self._of_axes = on_device(of_axes, self._device)
         return self._of_axes[axis]
 
-    @property
-    def bounds(self) -> Tensor | None:
-        """(B,) bool, the images at whose edges labels end, those that went through a step before; None for all."""
-        if self._samples is None:
-            return None
-        return on_device(torch.tensor(self._samples, device="cpu"), self._device)
+
+def with_sides(sides: Sequence[int], samples: Sequence[int], own: Sequence[int]) -> list[int]:
+    """Height and width of each image with those of some replaced."""
+    every = list(sides)
+    for place, i in enumerate(samples):
+        every[2 * i : 2 * i + 2] = own[2 * place : 2 * place + 2]
+    return every
 
 
 @dataclass
 class OnList(Stage):
-    """A step on the images of a list, which had a size each before it, that moves no pixels."""
+    """A step on images of a list, all or some, which had a size each before it, that moves no pixels."""
 
     before: SizeOfEach
+    after: SizeOfEach
+    samples: Sequence[int] | None
+
+    def members(self) -> Sequence[int] | None:
+        return self.samples
 
     def source_size(self) -> Any:
         return self.before
+
+    def result_size(self) -> SizeOfEach:
+        return self.after
 
 
 @dataclass
 class WarpOfList(ByMatrix, OnList):
     """Images of a list moved by matrices."""
+
+
+class Round(Nested):
+    """Stages that some images of a list have between boxes being filtered, or such a filter."""
+
+    def __init__(
+        self, stages: Sequence[Stage], labels: LabelSettings, after: SizeOfEach, samples: Sequence[int] | None = None
+    ) -> None:
+        super().__init__(stages, labels)
+        self.after, self.samples = after, samples
+
+    def concerns_all(self, has_boxes: bool) -> bool:
+        return True
+
+    def result_size(self) -> SizeOfEach:
+        return self.after
+
+    def members(self) -> Sequence[int] | None:
+        return self.samples
 
 
 @dataclass

@@ -42,8 +42,16 @@ class Stage:
         """
         return False
 
-    def source_size(self) -> tuple[int, ...] | None:
-        """The size of the images that the module was executed on, where it is known."""
+    def source_size(self) -> Any:
+        """The size of the images that the module was executed on, a number or (B, 1) an axis, where it is known."""
+        return None
+
+    def result_size(self) -> Any:
+        """The size of what the stage gives, where it says it, as that of images of a list is known."""
+        return None
+
+    def members(self) -> Sequence[int] | None:
+        """The samples that went through the stage, by their numbers; None for all."""
         return None
 
     def maps(self) -> list[Tensor | None]:
@@ -110,7 +118,7 @@ class Chain(Stage):
     def concerns_all(self, has_boxes: bool) -> bool:
         return any(stage.concerns_all(has_boxes) for stage in self.stages)
 
-    def source_size(self) -> tuple[int, ...] | None:
+    def source_size(self) -> Any:
         sizes = [stage.source_size() for stage in self.stages]
         return next((size for size in sizes if size is not None), None)
 

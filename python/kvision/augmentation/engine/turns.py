@@ -17,6 +17,7 @@ from torch import Tensor
 
 from kvision.augmentation.engine.augmentation import AugmentationBase
 from kvision.augmentation.engine.call_context import CallContext
+from kvision.augmentation.engine.lists import SizeOfEach, with_sides
 from kvision.augmentation.engine.record import Child
 from kvision.augmentation.engine.runs import execute
 from kvision.augmentation.engine.stages import Chain, Stage
@@ -103,19 +104,18 @@ def execute_turns(x: Tensor, turns: Sequence[Turn], context: CallContext) -> tup
         return context.converted(x), stages, executed
     for turn in turns:
         for samples in rows.by_size(turn.samples):
-            labels = context.labels
+            labels, size = context.labels, _size_of_all(rows, x)
             if labels is not None:
-                labels = labels.of_samples(_wrap(stages, samples, batch), samples)
+                labels = labels.of_samples(_wrap(stages, samples, x, size), samples)
             own = context._replace(output=SAME, labels=labels, seed=seed_of(context.seed, samples, batch))
             children = [replace(child, samples=samples, batch=batch) for child in turn.children]
             source = rows.take(samples)
-            size = rows.size_of(0) if len(rows.by_size(range(batch))) == 1 else None
             if turn.parts is None:
                 y, done = execute(source, children, own, turn.position)
             else:
                 y, done, children = _execute_parts(source, turn, own, children)
             rows.put(samples, y)
-            stages += done if len(samples) == batch else [SomeSamples(done, samples, batch, size)]
+            stages += done if len(samples) == batch else [SomeSamples(done, samples, batch, size, x.device)]
             executed += children
     sizes = [rows.size_of(group[0]) for group in rows.by_size(range(batch))]
     if len(sizes) > 1:
@@ -167,10 +167,18 @@ def joins(module: Any, shape: tuple[int, ...]) -> Any:
     return motion.resampling if isinstance(motion.resampling.fill, (int, float, type(None))) else None
 
 
-def _wrap(before: Sequence[Stage], samples: Sequence[int], batch: int) -> Callable[[list[Stage]], Stage]:
-    """What stages of some samples are for all, after the turns before them."""
+def _size_of_all(rows: SampleRows, x: Tensor) -> Any:
+    """The size of the samples of images like x; of images of several sizes (B, 1) of each, None of volumes."""
+    samples = range(len(x))
+    if len(rows.by_size(samples)) == 1:
+        return rows.size_of(0)
+    return SizeOfEach([n for i in samples for n in rows.size_of(i)], x.device) if x.dim() == 4 else None
+
+
+def _wrap(before: Sequence[Stage], samples: Sequence[int], x: Tensor, size: Any) -> Callable[[list[Stage]], Stage]:
+    """What stages of some samples of images like x are for all, after the turns before them."""
     earlier = list(before)
-    return lambda stages: Turns([*earlier, SomeSamples(stages, samples, batch)], samples)
+    return lambda stages: Turns([*earlier, SomeSamples(stages, samples, len(x), size, x.device)], samples)
 
 
 def seed_of(seed: Any, rows: Sequence[int], batch: int) -> Any:
@@ -191,17 +199,29 @@ class SomeSamples(Chain):
         stages: of those samples alone.
         samples: their numbers in the batch.
         batch: how many samples there are.
-        size: of the images of all samples before it; None where they had several sizes.
+        size: of all samples before it, a number or (B, 1) an axis; None where it is not known.
+        device: of these.
     """
 
     def __init__(
-        self, stages: Sequence[Stage], samples: Sequence[int], batch: int, size: tuple[int, ...] | None = None
+        self,
+        stages: Sequence[Stage],
+        samples: Sequence[int],
+        batch: int,
+        size: Any = None,
+        device: torch.device | None = None,
     ) -> None:
         super().__init__(stages)
-        self.samples, self.batch, self.size = samples, batch, size
+        self.samples, self.batch, self.size, self._device = samples, batch, size, device
 
-    def source_size(self) -> tuple[int, ...] | None:
+    def source_size(self) -> Any:
         return self.size
+
+    def members(self) -> Sequence[int]:
+        each = [stage.members() for stage in self.stages]
+        if any(own is None for own in each):
+            return self.samples
+        return [self.samples[i] for i in sorted({i for own in each for i in own or ()})]
 
     def maps(self) -> list[Tensor | None]:
         moved: list[Tensor | None] = []
@@ -235,9 +255,18 @@ class SomeSamples(Chain):
     def flat(self) -> list[Stage]:
         parts: list[Stage] = []
         for part in super().flat():
-            size = self.size if part.source_size() in (self.size, None) else None
-            parts.append(SomeSamples([part], self.samples, self.batch, size))
+            parts.append(SomeSamples([part], self.samples, self.batch, self._size_before(part), self._device))
         return parts
+
+    def _size_before(self, part: Stage) -> Any:
+        """The size of all samples before one of the stages."""
+        own, size = part.source_size(), self.size
+        if own is None or size is None or own == size:
+            return size
+        if self._device is None or len(own) != 2:
+            return None
+        of_all, of_some = SizeOfEach.sides_of(size, self.batch), SizeOfEach.sides_of(own, len(self.samples))
+        return SizeOfEach(with_sides(of_all, self.samples, of_some), self._device)
 
 
 class Turns(Chain):

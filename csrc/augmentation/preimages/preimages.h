@@ -7,6 +7,7 @@
 #pragma once
 
 #include "core/ceil_div.h"
+#include "core/image_list.h"
 #include "core/isa.h"
 
 namespace kv::augmentation {
@@ -70,13 +71,26 @@ struct GridRange {
   int64_t first_row, last_row, first_column, last_column;
 };
 
+// Where node i of an axis is: pixels, the edges of the first and the last one, and `margin` nodes beyond each, twice as
+// far from the edge as the one before.
+template <class F>
+KV_HD F node_position(int64_t i, int64_t nodes, int64_t margin) {
+  int64_t const pixel = i - margin - 1, after = pixel - (nodes - 2 * margin - 2);
+  F const edge = F(-0.5);
+  if (pixel < 0) return pixel == -1 ? edge : edge - F(int64_t(1) << (-2 - pixel));
+  if (after < 0) return F(pixel);
+  F const last = edge + F(pixel - after);
+  return after == 0 ? last : last + F(int64_t(1) << (after - 1));
+}
+
+// The map of a sample.
 template <class F>
 struct MapGrid {
-  Point<F> const* coordinates;  // (batch, rows, columns)
-  uint8_t const* kinds;         // (batch, rows, columns)
-  F const *x, *y;               // (columns,) and (rows,), ascending
-  MapTile<F>* tiles;            // (batch, tiles_down, tiles_across)
-  int64_t batch, rows, columns;
+  Point<F> const* coordinates;  // (rows, columns)
+  uint8_t const* kinds;         // (rows, columns)
+  F const *x, *y;               // (columns,) and (rows,), ascending; null for those of node_position
+  MapTile<F>* tiles;            // (tiles_down, tiles_across)
+  int64_t rows, columns;
 
   int64_t margin;  // cells at each side that are outside; they are tiles of their own, as they are much larger
 
@@ -87,8 +101,11 @@ struct MapGrid {
     if (tile == 0) return 0;
     return tile == tiles_along(cells, margin) ? cells : min(margin + kTile * (tile - 1), cells - margin);
   }
-  KV_HD int64_t index(int64_t b, int64_t i, int64_t j) const { return (b * rows + i) * columns + j; }
-  KV_HD Point<F> position(int64_t i, int64_t j) const { return {x[j], y[i]}; }
+  KV_HD int64_t index(int64_t i, int64_t j) const { return i * columns + j; }
+  KV_HD Point<F> position(int64_t i, int64_t j) const {
+    if (x) return {x[j], y[i]};
+    return {node_position<F>(j, columns, margin), node_position<F>(i, rows, margin)};
+  }
   KV_HD GridRange cells(int64_t tile) const {
     int64_t const i = tile / tiles_across(), j = tile % tiles_across();
     return {first_cell(i, rows - 1), first_cell(i + 1, rows - 1), first_cell(j, columns - 1),
@@ -103,12 +120,12 @@ struct MapGrid {
 };
 
 template <class F>
-KV_HD MapTile<F> tile_of_nodes(MapGrid<F> const& g, int64_t b, int64_t tile) {
+KV_HD MapTile<F> tile_of_nodes(MapGrid<F> const& g, int64_t tile) {
   MapTile<F> t{{}, 0, 1};
   GridRange const r = g.nodes(tile);
   for (int64_t i = r.first_row; i < r.last_row; ++i)
     for (int64_t j = r.first_column; j < r.last_column; ++j) {
-      int64_t const at = g.index(b, i, j);
+      int64_t const at = g.index(i, j);
       t.bounds.add(g.coordinates[at]);
       if (g.kinds[at] == kPixel) t.has_pixels = 1;
       if (g.kinds[at] == kOutside) t.is_inside = 0;
@@ -122,8 +139,8 @@ struct Cell {
   Point<F> first, size;  // of its position
   bool is_inside;
 
-  KV_HD Cell(MapGrid<F> const& g, int64_t sample, int64_t i, int64_t j) {
-    int64_t const at = g.index(sample, i, j), below = at + g.columns;
+  KV_HD Cell(MapGrid<F> const& g, int64_t i, int64_t j) {
+    int64_t const at = g.index(i, j), below = at + g.columns;
     a = g.coordinates[at], b = g.coordinates[at + 1], c = g.coordinates[below], d = g.coordinates[below + 1];
     first = g.position(i, j), size = g.position(i + 1, j + 1) - first;
     is_inside = g.kinds[at] && g.kinds[at + 1] && g.kinds[below] && g.kinds[below + 1];
@@ -282,8 +299,8 @@ struct Nearest {
 };
 
 template <class F>
-KV_HD void add_node(Nearest<F>& nearest, MapGrid<F> const& g, int64_t b, Point<F> point, int64_t i, int64_t j) {
-  int64_t const at = g.index(b, i, j);
+KV_HD void add_node(Nearest<F>& nearest, MapGrid<F> const& g, Point<F> point, int64_t i, int64_t j) {
+  int64_t const at = g.index(i, j);
   if (g.kinds[at] != kPixel) return;
   Point<F> const miss = g.coordinates[at] - point;
   nearest.add(dot(miss, miss), i * g.columns + j, g.position(i, j));
@@ -291,9 +308,9 @@ KV_HD void add_node(Nearest<F>& nearest, MapGrid<F> const& g, int64_t b, Point<F
 
 // Of the positions at which cells read a point, those nearest to a pixel: [0] of cells inside, [1] of the others.
 template <class F>
-KV_HD void add_positions(Nearest<F> (&nearest)[2], MapGrid<F> const& g, int64_t b, Point<F> point, Point<F> pixel,
-                         int64_t i, int64_t j) {
-  Cell<F> const cell(g, b, i, j);
+KV_HD void add_positions(Nearest<F> (&nearest)[2], MapGrid<F> const& g, Point<F> point, Point<F> pixel, int64_t i,
+                         int64_t j) {
+  Cell<F> const cell(g, i, j);
   if (!cell.bounds().contains(point, F(1e-2))) return;
   cell.solve(point, [&](Point<F> p) KV_INLINE {
     Nearest<F>& of_kind = nearest[cell.is_inside ? 0 : 1];
@@ -305,7 +322,7 @@ constexpr double kNearPixel = 1.5;
 
 // The position of a point and its kind, from the pixel that reads nearest to it and the exact positions near that.
 template <class F>
-KV_HD PositionKind choose_position(MapGrid<F> const& g, int64_t b, Point<F> point, Nearest<F> const& pixel,
+KV_HD PositionKind choose_position(MapGrid<F> const& g, Point<F> point, Nearest<F> const& pixel,
                                    Nearest<F> const (&exact)[2], Point<F>& position) {
   if (exact[0].index >= 0 && exact[0].key <= F(kNearPixel * kNearPixel)) {
     position = exact[0].position;
@@ -318,7 +335,7 @@ KV_HD PositionKind choose_position(MapGrid<F> const& g, int64_t b, Point<F> poin
   if (exact[1].index >= 0)
     position = exact[1].position;
   else if (pixel.index >= 0)  // out of the grid, too
-    position = pixel.position + (point - g.coordinates[b * g.rows * g.columns + pixel.index]);
+    position = pixel.position + (point - g.coordinates[pixel.index]);
   else
     position = {F(__builtin_nan("")), F(__builtin_nan(""))};
   return kInvisible;
@@ -326,31 +343,82 @@ KV_HD PositionKind choose_position(MapGrid<F> const& g, int64_t b, Point<F> poin
 
 // --- kernels ---------------------------------------------------------------------------------------------------------
 
+// Maps of one size, of all samples one after the other.
 template <class F>
-struct MapTiles {
-  MapGrid<F> grid;
+struct MapGrids {
+  MapGrid<F> first;
+
+  KV_HD int64_t tile_of_sample(int64_t b) const { return b * first.tile_count(); }
+  KV_HD int64_t sample_of_tile(int64_t t) const { return t / first.tile_count(); }
+  KV_HD MapGrid<F> sample(int64_t b) const {
+    MapGrid<F> g = first;
+    g.coordinates += b * g.rows * g.columns, g.kinds += b * g.rows * g.columns, g.tiles += tile_of_sample(b);
+    return g;
+  }
 };
 
+// Maps of a size each, one after the other.
 template <class F>
-struct PreimageExtents {
-  MapGrid<F> grid;
+struct ListedGrids {
+  MapGrid<F> first;  // of which the pointers count
+  int count;
+  int rows[kMaxListed], columns[kMaxListed], margin[kMaxListed], tile[kMaxListed];  // tile: the first one
+  int64_t node[kMaxListed];                                                         // the first one
+
+  KV_HD int64_t tile_of_sample(int64_t b) const { return tile[b]; }
+  KV_HD int64_t sample_of_tile(int64_t t) const {
+    return entry_of_item(count, int(t), [&](int i) { return tile[i]; });
+  }
+  KV_HD MapGrid<F> sample(int64_t b) const {
+    MapGrid<F> g = first;
+    g.coordinates += node[b], g.kinds += node[b], g.tiles += tile[b];
+    g.rows = rows[b], g.columns = columns[b], g.margin = margin[b];
+    return g;
+  }
+};
+
+template <class F, template <class> class Grids>
+struct TilesOf {
+  Grids<F> grids;
+  int64_t tiles;  // of all samples
+};
+
+template <class F, template <class> class Grids>
+struct ExtentsOf {
+  Grids<F> grids;
   F const* quads;       // (batch, count, 8): corners
   F const* directions;  // (batch, count, 8)
   F* extents;           // (batch, count, 8)
-  int64_t count;
+  int64_t count, total;
 };
 
-template <class F>
-struct PreimagePoints {
-  MapGrid<F> grid;
+template <class F, template <class> class Grids>
+struct PointsOf {
+  Grids<F> grids;
   Point<F> const* points;  // (batch, count)
   Point<F>* positions;     // (batch, count)
   uint8_t* kinds;          // (batch, count)
-  int64_t count;
+  int64_t count, total;
 };
 
+template <class F>
+struct MapTiles : TilesOf<F, MapGrids> {};
+template <class F>
+struct MapTilesList : TilesOf<F, ListedGrids> {};
+template <class F>
+struct PreimageExtents : ExtentsOf<F, MapGrids> {};
+template <class F>
+struct PreimageExtentsList : ExtentsOf<F, ListedGrids> {};
+template <class F>
+struct PreimagePoints : PointsOf<F, MapGrids> {};
+template <class F>
+struct PreimagePointsList : PointsOf<F, ListedGrids> {};
+
 KV_KERNEL(map_tiles, MapTiles)
+KV_KERNEL(map_tiles_list, MapTilesList)
 KV_KERNEL(preimage_extents, PreimageExtents)
+KV_KERNEL(preimage_extents_list, PreimageExtentsList)
 KV_KERNEL(preimage_points, PreimagePoints)
+KV_KERNEL(preimage_points_list, PreimagePointsList)
 
 }  // namespace kv::augmentation

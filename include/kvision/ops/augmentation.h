@@ -183,6 +183,19 @@ inline constexpr Operator<"preimage_extents", Tensor(Tensor quads, Tensor direct
 inline constexpr Operator<"preimage_points",
                           Two(Tensor points, Tensor coordinates, Tensor kinds, Tensor x, Tensor y, int64_t margin)>
     preimage_points{non_differentiable};
+inline constexpr Operator<"preimage_extents_list", Tensor(Tensor quads, Tensor directions, Tensor coordinates,
+                                                          Tensor kinds, Ints sides, Ints margins)>
+    preimage_extents_list{non_differentiable};
+inline constexpr Operator<"preimage_points_list",
+                          Two(Tensor points, Tensor coordinates, Tensor kinds, Ints sides, Ints margins)>
+    preimage_points_list{non_differentiable};
+
+// --- augmentation/preimages/read_nodes_op.cpp
+
+// Where nodes read images, and their kinds. preimages_list.py says what the arguments are.
+inline constexpr Operator<"read_nodes_list", Two(Tensor link, OptionalTensor coordinates, OptionalTensor kinds,
+                                                 Ints before, Ints moved, Ints bounded, Ints sides, Ints margins)>
+    read_nodes_list{non_differentiable};
 
 // --- augmentation/random_generator/fractal_noise_op.cpp
 

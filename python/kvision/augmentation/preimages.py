@@ -194,15 +194,26 @@ def result_map(
         read: gives for positions (H, W, 2) the coordinates (B, H, W, 2) that they read, and whether they read an image, bool (B,
             H, W). Its second argument is the number of rows and columns before the first pixel.
     """
-    margin = max(int(reach), 1).bit_length() + 1
+    margin = margin_of(reach)
     y, x = (_node_positions(n, margin, like) for n in size)
     height, width = len(y), len(x)
     nodes = torch.stack([x.expand(height, width), y[:, None].expand(height, width)], -1)
     coordinates, reads = read(nodes, margin + 1)
-    is_shown = torch.zeros(height, width, dtype=torch.uint8, device=like.device)
-    is_shown[margin : height - margin, margin : width - margin] = INSIDE
-    is_shown[margin + 1 : height - margin - 1, margin + 1 : width - margin - 1] = PIXEL
+    is_shown = shown_nodes(height, width, margin, like.device)
     return ResultMap(coordinates, is_shown * reads, x[None], y[None], margin)
+
+
+def margin_of(reach: int) -> int:
+    """How many cells there are at each side of a result that reach so many pixels from it, at least."""
+    return max(int(reach), 1).bit_length() + 1
+
+
+def shown_nodes(height: int, width: int, margin: int, device: torch.device) -> Tensor:
+    """The kinds (H, W) of the nodes of a result, all of which read an image."""
+    kinds = torch.zeros(height, width, dtype=torch.uint8, device=device)
+    kinds[margin : height - margin, margin : width - margin] = INSIDE
+    kinds[margin + 1 : height - margin - 1, margin + 1 : width - margin - 1] = PIXEL
+    return kinds
 
 
 def at_nodes(nodes: Tensor, displacements: Tensor, margin: int) -> Tensor:

@@ -38,5 +38,6 @@ int draw_and_multiply(DrawsAndChain<Draws> const& p, CUstream_st* stream) {
 
 template int draw_and_multiply(DrawsAndChain<DrawParameters<float>> const&, CUstream_st*);
 template int draw_and_multiply(DrawsAndChain<DrawListParameters<float>> const&, CUstream_st*);
+template int draw_and_multiply(DrawsAndChain<DrawListParameters<float, kFewListedNumbers>> const&, CUstream_st*);
 
 }  // namespace kv::augmentation::cuda

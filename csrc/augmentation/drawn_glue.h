@@ -47,17 +47,17 @@ inline Drawn draw_columns([[maybe_unused]] char const* op, Tensor const& image, 
   return {columns, {}};
 }
 
-// The same for images of different sizes, of which listed draws have `width` numbers each.
-inline Drawn draw_list_columns([[maybe_unused]] char const* op, Tensor const& images,
-                               DrawParameters<float> const& draws, std::span<double const> listed, size_t width,
-                               [[maybe_unused]] ChainPlan const& chain) {
+// The same for images of different sizes, of which listed draws have `width` numbers each, by tables of `Most` numbers.
+template <int Most>
+Drawn draw_by_tables([[maybe_unused]] char const* op, Tensor const& images, DrawParameters<float> const& draws,
+                     std::span<double const> listed, size_t width, [[maybe_unused]] ChainPlan const& chain) {
   int64_t const batch = draws.batch, elements = batch * draws.columns;
   Tensor const memory = empty({elements + 9 * batch}, images, Layout::planar, ScalarType::Float);
   Tensor const columns = view_of(memory, {batch, draws.columns}, 0);
 #if defined(KV_CUDA)
   if (!chain.plan.empty()) {
     Tensor const matrix = view_of(memory, {batch, 3, 3}, elements);
-    DrawsAndChain<DrawListParameters<float>> p;
+    DrawsAndChain<DrawListParameters<float, Most>> p;
     p.chain = transform_params<float>(op, columns, chain.plan, chain.numbers);
     p.chain.result = data_ptr<float>(matrix);
     p.draws.all = draws;
@@ -66,11 +66,20 @@ inline Drawn draw_list_columns([[maybe_unused]] char const* op, Tensor const& im
     return {columns, matrix};
   }
 #endif
-  DrawListParameters<float> p;
+  DrawListParameters<float, Most> p;
   p.all = draws;
   p.all.result = data_ptr<float>(columns);
   for_each_listed(p, listed, width, [&] { KV_RUN(draw_list_parameters, images, p, p.count, 64 * p.all.count); });
   return {columns, {}};
+}
+inline Drawn draw_list_columns(char const* op, Tensor const& images, DrawParameters<float>& draws,
+                               std::span<double const> listed, size_t width, ChainPlan const& chain) {
+  if (width == 0) return draw_columns(op, images, draws, chain);
+#if defined(KV_CUDA)
+  if (listed.size() <= kFewListedNumbers)
+    return draw_by_tables<kFewListedNumbers>(op, images, draws, listed, width, chain);
+#endif
+  return draw_by_tables<kMaxListedNumbers>(op, images, draws, listed, width, chain);
 }
 
 }  // namespace kv::augmentation

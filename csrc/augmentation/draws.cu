@@ -15,10 +15,17 @@ __global__ void __launch_bounds__(kDrawThreads) draw_all(__grid_constant__ DrawP
 
 static_assert(sizeof(DrawListParameters<float>) <= 32764, "more than a kernel's parameters");
 
-template <class T>
-__global__ void __launch_bounds__(kDrawThreads) draw_listed(__grid_constant__ DrawListParameters<T> const p) {
+template <class Draws>
+__global__ void __launch_bounds__(kDrawThreads) draw_listed(__grid_constant__ Draws const p) {
   int const i = blockIdx.x * kDrawThreads + threadIdx.x;
   if (i < p.count) draw_sample(p, p.all.draws[blockIdx.y], i);
+}
+
+template <class Draws>
+int launch_listed(Draws const& p, CUstream_st* stream) {
+  dim3 const blocks(unsigned(ceil_div(p.count, kDrawThreads)), unsigned(p.all.count));
+  draw_listed<<<blocks, kDrawThreads, 0, stream>>>(p);
+  return cudaGetLastError();
 }
 
 }  // namespace
@@ -32,12 +39,15 @@ int draw_parameters(DrawParameters<T> const& p, CUstream_st* stream) {
 
 template <class T>
 int draw_list_parameters(DrawListParameters<T> const& p, CUstream_st* stream) {
-  dim3 const blocks(unsigned(ceil_div(p.count, kDrawThreads)), unsigned(p.all.count));
-  draw_listed<<<blocks, kDrawThreads, 0, stream>>>(p);
-  return cudaGetLastError();
+  return launch_listed(p, stream);
+}
+template <class T>
+int draw_list_parameters(DrawListParameters<T, kFewListedNumbers> const& p, CUstream_st* stream) {
+  return launch_listed(p, stream);
 }
 
 KV_INSTANTIATE_ONE(draw_parameters, DrawParameters, float)
 KV_INSTANTIATE_ONE(draw_list_parameters, DrawListParameters, float)
+template int draw_list_parameters(DrawListParameters<float, kFewListedNumbers> const&, CUstream_st*);
 
 }  // namespace kv::augmentation::cuda

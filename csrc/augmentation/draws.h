@@ -32,6 +32,7 @@ constexpr int kDrawColumns[kDrawKinds] = {1, 1, 1, 1, 0, 4, 4, 1, 1, 2, 1, 0, 1}
 
 constexpr int kMaxDraws = 64, kMaxDrawNumbers = 256;  // of a launch, whose parameters take less than 4 KB
 constexpr int kMaxListedNumbers = 3072;  // of all samples of a launch, whose parameters take 32,764 bytes at most
+constexpr int kFewListedNumbers = 768;   // the longer the parameters of a launch, the longer it takes the host
 
 // Tries for a crop that lies in the image; tries for a number of the gamma distribution, each of which is accepted with
 // a probability above .95.
@@ -88,12 +89,12 @@ struct DrawParameters {
 
 // Some draws of a list, which are for images of different sizes, have numbers of their own for each sample: `width` in
 // all. They are those whose numbers begin behind kMaxDrawNumbers. Of samples from `begin` on.
-template <class T>
+template <class T, int Most = kMaxListedNumbers>
 struct DrawListParameters {
   DrawParameters<T> all;
   int64_t begin;
   int count, width;  // samples, and numbers of each
-  double listed[kMaxListedNumbers];
+  double listed[Most];
 
   KV_HD DrawParameters<T> const& common() const { return all; }
   KV_HD int64_t first() const { return begin; }
@@ -105,6 +106,10 @@ struct DrawListParameters {
 
 KV_KERNEL(draw_parameters, DrawParameters)
 KV_KERNEL(draw_list_parameters, DrawListParameters)
+namespace cuda {
+template <class T>
+int draw_list_parameters(DrawListParameters<T, kFewListedNumbers> const& params, CUstream_st* stream);
+}  // namespace cuda
 
 // --- the kinds -------------------------------------------------------------------------------------------------------
 
@@ -303,8 +308,8 @@ template <class T>
 KV_HD void draw_sample(DrawParameters<T> const& p, Draw const& d, int64_t b) {
   draw_sample(p, p.numbers + d.number, d, b);
 }
-template <class T>
-KV_HD void draw_sample(DrawListParameters<T> const& p, Draw const& d, int64_t i) {
+template <class T, int Most>
+KV_HD void draw_sample(DrawListParameters<T, Most> const& p, Draw const& d, int64_t i) {
   draw_sample(p.all, p.numbers(d, i), d, p.begin + i);
 }
 

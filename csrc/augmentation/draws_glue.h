@@ -52,9 +52,9 @@ inline size_t list_draws(char const* op, DrawParameters<float>& p, std::span<int
 }
 
 // Calls run() for as many samples at a time as have room for their numbers.
-template <class Run>
-void for_each_listed(DrawListParameters<float>& p, std::span<double const> listed, size_t width, Run run) {
-  size_t const batch = size_t(p.all.batch), most = width ? kMaxListedNumbers / width : batch;
+template <int Most, class Run>
+void for_each_listed(DrawListParameters<float, Most>& p, std::span<double const> listed, size_t width, Run run) {
+  size_t const batch = size_t(p.all.batch), most = width ? Most / width : batch;
   p.width = int(width);
   for (size_t begin = 0; begin < batch; begin += most) {
     size_t const count = std::min(most, batch - begin);

@@ -78,7 +78,8 @@ struct PreimageMapsList {
 
   template <class F, class Run>
   void for_each_table(Run run) const {
-    ListedGrids<F> grids{{data_ptr<Point<F> const>(coordinates), data_ptr<uint8_t const>(kinds)}};
+    ListedGrids<F> grids{};
+    grids.first.coordinates = data_ptr<Point<F> const>(coordinates), grids.first.kinds = data_ptr<uint8_t const>(kinds);
     for (int64_t first = 0; first < sizes.count(); first += kMaxListed) {
       grids.count = int(std::min(sizes.count() - first, int64_t(kMaxListed)));
       int64_t count = 0;

@@ -246,7 +246,9 @@ def leave_boxes(boxes: Any, kept: Any) -> Any:
 def all_kept(boxes: Any, mode: str) -> Any:
     """That all boxes stay, in the shape of `filter_boxes`."""
     if isinstance(boxes, (list, tuple)):
-        return [all_kept(part, mode) for part in boxes]
+        counts = [len(part) for part in boxes]
+        device = boxes[0].device if boxes else "cpu"
+        return list(torch.ones(sum(counts), dtype=torch.bool, device=device).split(counts))
     values, is_corners = (boxes, mode == "vertices") if isinstance(boxes, Tensor) else (boxes._data, True)
     return torch.ones(values.shape[: -2 if is_corners else -1], dtype=torch.bool, device=values.device)
 

@@ -36,6 +36,17 @@ AUGMENTATIONS = {
     "one of": lambda: [A.OneOf(A.RandomHorizontalFlip(), A.RandomAffine(20.0), A.RandomErasing(p=1.0)), A.Transpose()],
     "some of": lambda: [A.SomeOf([A.RandomHorizontalFlip(), A.RandomAffine(20.0), A.RandomVerticalFlip()], 2)],
     "applied": lambda: [A.RandomApply([A.RandomAffine(20.0), A.ColorJitter(0.2, 0.2)]), A.CenterCrop((30, 30))],
+    "crop by boxes": lambda: [
+        A.RandomHorizontalFlip(),
+        A.RandomAffine(20.0),
+        A.RandomIoUCrop(),
+        A.ColorJitter(0.2),
+        A.RandomCropNearBBox((0.1, 0.3), p=0.7),
+        A.Transpose(),
+        A.RandomSizedBBoxSafeCrop(24, 28),
+    ],
+    "crop by boxes of all": lambda: [A.RandomHorizontalFlip(), A.RandomAffine(9.0), A.RandomSizedBBoxSafeCrop(24, 28)],
+    "crop by masks": lambda: [A.RandomVerticalFlip(), A.RandomAffine(20.0), A.CropNonEmptyMaskIfExists(16, 20)],
     "filtered inside": lambda: [
         A.RandomAffine(20.0, (0.3, 0.3)),
         A.AugmentationSequential(A.RandomAffine(20.0, (0.3, 0.3)), A.Transpose(), clip_boxes="each"),
@@ -56,7 +67,7 @@ AUGMENTATIONS = {
         A.RandomVerticalFlip(),
     ],
 }
-TOGETHER = [name for name in AUGMENTATIONS if name != "map"]
+TOGETHER = [name for name in AUGMENTATIONS if name not in ("map", "crop by masks")]
 FILTERS = {
     "all boxes": {},
     "clipped": {"clip_boxes": True, "min_box_visibility": 0.3},
@@ -171,7 +182,7 @@ def test_labels_of_another_number_are_refused():
 
 
 @pytest.mark.tracing
-@pytest.mark.parametrize("name", ["affine", "crop of a window", "pad"])
+@pytest.mark.parametrize("name", ["affine", "crop of a window", "pad", "crop by boxes of all", "crop by masks"])
 def test_graphs_have_masks_boxes_and_points(name):
     augment = A.AugmentationSequential(*AUGMENTATIONS[name](), data_keys=["input", "mask", "bbox_xyxy", "keypoints"])
     images = pictures("cpu")

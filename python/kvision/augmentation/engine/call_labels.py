@@ -32,6 +32,7 @@ class CallLabels(NamedTuple):
     outer: CallLabels | None = None  # in a part of the call, such as a container that is a child, the labels before it
     wrap: Callable[[list[Stage]], Stage] | None = None  # gives what outer labels follow, of the stages of the part
     rows: Sequence[int] | None = None  # the samples of the outer batch that the part is about; None for all
+    moves: Any = None  # of a list of images what these have been through, as Moves
 
     @classmethod
     def of(cls, keys: Sequence[DataKey], values: Sequence[Any], settings: LabelSettings, images: Any) -> CallLabels:
@@ -42,6 +43,10 @@ class CallLabels(NamedTuple):
     def after(self, stages: Sequence[Stage]) -> CallLabels:
         """The labels after further stages."""
         return self._replace(stages=[*self.stages, *stages]) if stages else self
+
+    def moved(self, moves: Any) -> CallLabels:
+        """The labels of a list of images after further Moves of those that they are about."""
+        return self._replace(moves=moves if self.moves is None else self.moves.then(moves))
 
     def inside(self, settings: LabelSettings | None) -> CallLabels:
         """The labels in a container that is the next child, with its settings."""
@@ -76,14 +81,18 @@ class CallLabels(NamedTuple):
         known = [(key, value) for key, value in zip(self.keys, self.values) if key in BOX_FORMATS]
         if not known:
             return None
-        stages, moved = self._chain(), [value for _, value in known]
+        stages, size, images = self._chain(), shape[2:], self.images
+        if self.moves is not None:  # which are those of the selected images
+            known = [(key, self._selected(value)) for key, value in known]
+            stages, size = self.moves.stages(self._device)
+            images = (shape[0], *images[1:])
+        moved = [value for _, value in known]
         if stages:
-            record = LabelRecord(_of_steps(self.settings), self.images, shape[2:])
+            record = LabelRecord(_of_steps(self.settings), images, size)
             moved = record.move([key for key, _ in known], moved, Chain(stages))
-        edges = [
-            labels.box_edges(now, BOX_FORMATS[key], self.images[0], value) for (key, value), now in zip(known, moved)
-        ]
-        boxes = self._selected(torch.cat([part.to(edges[0]) for part in edges], 1))
+        edges = [labels.box_edges(now, BOX_FORMATS[key], images[0], value) for (key, value), now in zip(known, moved)]
+        boxes = torch.cat([part.to(edges[0]) for part in edges], 1)
+        boxes = boxes if self.moves is not None else self._selected(boxes)
         return boxes.reshape(shape[0] // frames, frames * boxes.shape[1], 4) if frames > 1 else boxes
 
     def first_masks(self) -> Any:
@@ -95,6 +104,12 @@ class CallLabels(NamedTuple):
             if self._is_of_some:
                 masks = [self._selected(x if isinstance(x, (list, tuple)) else labels.masks_as_batch(x)) for x in masks]
         return masks[0] if masks else None
+
+    @property
+    def _device(self) -> torch.device:
+        """That of the images of a list."""
+        device: torch.device = self.values[self.keys.index(DataKey.INPUT)][0].device
+        return device
 
     @property
     def _is_of_some(self) -> bool:

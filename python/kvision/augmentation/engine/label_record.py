@@ -179,6 +179,9 @@ class LabelRecord:
             own = labels.kept_boxes(values[i], BOX_FORMATS[key], stages.keeps_centers) if key in BOX_FORMATS else None
             if own is not None:
                 kept[i] = own
+        for i, key in enumerate(keys) if kept else ():
+            if key in BOX_FORMATS and i not in kept:  # none, to which classes may belong
+                kept[i] = labels.all_kept(values[i], BOX_FORMATS[key])
         return kept
 
     def _moved(self, i: int, key: DataKey, value: Any, stages: Chain, size: Size, settings: LabelSettings) -> Any:

@@ -10,9 +10,9 @@ from torch import Tensor
 
 from kvision._dtype import as_dtype, compute_dtype
 from kvision.augmentation.engine.label_settings import LabelSettings
-from kvision.augmentation.engine.lists import OnList, Round, SizeOfEach, WarpOfList, with_sides
+from kvision.augmentation.engine.lists import CropOfList, OnList, Round, SizeOfEach, WarpOfList, with_sides
 from kvision.augmentation.engine.passes import Joined
-from kvision.augmentation.engine.sized import ImagesOfList
+from kvision.augmentation.engine.sized import SIZES, ImagesOfList
 from kvision.augmentation.engine.stages import Stage
 from kvision.augmentation.sample_rows import index_of
 from kvision.augmentation.transforms import transform_matrix
@@ -79,21 +79,29 @@ class Move(NamedTuple):
     before: Sequence[int]
     after: Sequence[int]
     samples: Sequence[int] | None = None
+    crops: Tensor | None = (
+        None  # bool, one of each, those of which boxes with centers outside of the results are removed
+    )
 
     def of_some(self, samples: Sequence[int], sides: Sequence[int]) -> Move:
         """The same as a step on some images of a list of these sizes."""
         before, after = (with_sides(sides, samples, own) for own in (self.before, self.after))
-        return Move(self.matrix, before, after, _places(samples, self.samples))
+        return Move(self.matrix, before, after, _places(samples, self.samples), self.crops)
 
     def stage(self, device: torch.device) -> Stage:
         """The same as a stage of all images."""
-        matrix, samples, count = self.matrix, self.samples, len(self.before) // 2
+        matrix, crops, samples, count = self.matrix, self.crops, self.samples, len(self.before) // 2
         before, after = SizeOfEach(self.before, device), SizeOfEach(self.after, device)
         if matrix is None:
             return OnList(before, after, samples)
         if samples is not None:
             identity = torch.eye(3, dtype=matrix.dtype, device=matrix.device).expand(count, 3, 3)
             matrix = identity.index_copy(0, index_of(samples, matrix), matrix)
+            if crops is not None:
+                none = torch.zeros(count, dtype=torch.bool, device=crops.device)
+                crops = none.index_copy(0, index_of(samples, crops), crops)
+        if crops is not None:
+            return CropOfList(before, after, samples, matrix, crops)
         return WarpOfList(before, after, samples, matrix)
 
 
@@ -133,6 +141,10 @@ class Moves(NamedTuple):
     moves: Sequence[Move | Inside]
     after: Sequence[int]
 
+    def then(self, others: Moves) -> Moves:
+        """These, and then others."""
+        return Moves([*self.moves, *others.moves], others.after)
+
     def inside(self, settings: LabelSettings | None) -> Moves:
         """The same in a container that is a child, with its settings."""
         if settings is None:
@@ -142,7 +154,8 @@ class Moves(NamedTuple):
 
     def stages(self, device: torch.device) -> tuple[list[Stage], SizeOfEach]:
         """The same as stages of all images, and the sizes of results."""
-        moves, stages = self.moves, list[Stage]()
+        moves = self.moves
+        stages: list[Stage] = []
         if any(isinstance(move, Inside) for move in moves):
             stages += _Rounds(len(self.after) // 2, device).of(moves)
         else:
@@ -197,10 +210,12 @@ class _Rounds:
             samples = range(len(self._round)) if move.samples is None else move.samples
             row_of = {sample: row for row, sample in enumerate(samples)}
             for number, images in self._by_round(samples):
-                matrix = move.matrix
+                matrix, crops = move.matrix, move.crops
                 if matrix is not None and len(images) < len(samples):
-                    matrix = matrix.index_select(0, index_of([row_of[i] for i in images], matrix))
-                own_move = Move(matrix, move.before, move.after, images)
+                    rows = index_of([row_of[i] for i in images], matrix)
+                    matrix = matrix.index_select(0, rows)
+                    crops = None if crops is None else crops.index_select(0, rows)
+                own_move = Move(matrix, move.before, move.after, images, crops)
                 self._moves.setdefault((number, clips), []).append(own_move)
 
     def _by_round(self, samples: Sequence[int]) -> list[tuple[int, list[int]]]:
@@ -219,13 +234,25 @@ def moves_of_run(run: Any) -> Moves | None:
     moves: list[Move | Inside] = []
     sides = run.sides
     for step in run.label_steps:
-        for module in [run.modules[n] for n in step.numbers]:
-            by_matrix = step.matrix is not None and module._warps_points and not module.removes_boxes
+        crops: Tensor | None = None
+        for number in step.numbers:
+            module = run.modules[number]
+            by_matrix = step.matrix is not None and module._warps_points
             if not (module.keeps_positions or by_matrix):
                 return None
-        moves.append(Move(step.matrix, step.before, step.after))
+            if module.removes_boxes:
+                if not all(n == number or _permutes_pixels(run.modules[n]) for n in step.numbers):
+                    return None  # a box may leave the image in another one
+                chosen = run.execution(number).chosen
+                crops = step.matrix.new_ones(len(step.matrix), dtype=torch.bool) if chosen is None else chosen
+        moves.append(Move(step.matrix, step.before, step.after, None, crops))
         sides = step.after
     return Moves(moves, sides)
+
+
+def _permutes_pixels(module: Any) -> bool:
+    contribution = module._contribution((1, 3, *SIZES[0]), module.flags)
+    return contribution is not None and contribution.motion is not None and contribution.motion.permutes_pixels
 
 
 def joined_moves(sides: Sequence[int], parts: Iterable[tuple[Sequence[int], Moves | None]]) -> Moves | None:

@@ -6,8 +6,9 @@ that is read for each size (sized.py). Those of draws replace their numbers, tho
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import chain
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import torch
@@ -58,6 +59,9 @@ class ListPlan(NamedTuple):
     reads_executions: bool  # what each augmentation has drawn is read in the call
     identity: SizedNumbers | None = None  # columns of images with another child, where they depend on sizes
     numbers_of_labels: SizedNumbers | NumbersOfEach | None = None  # inputs of matrices that labels alone read
+    before: Mapping[int, Sequence[Alone]] = MappingProxyType(
+        {}
+    )  # what labels that an augmentation reads follow before it
 
     def keys(self, images: Sequence[Tensor], context: CallContext) -> Keys | None:
         """What the columns of a call are drawn from."""
@@ -189,7 +193,25 @@ def _make_plan(
     reads_executions = run.derives or len(run.steps) > steps or any(isinstance(step, Alone) for step in run.steps)
     flags = begins_with_batch, begins_with_batch or reads_executions
     of_labels = None if has_inputs else sized.numbers(has_draws=False)
-    return ListPlan(run, sized, draws, places, numbers, drawn, sized_draws, *flags, identity, of_labels)
+    before = _steps_before(modules, run, sized) if run.derives else {}
+    return ListPlan(run, sized, draws, places, numbers, drawn, sized_draws, *flags, identity, of_labels, before)
+
+
+def _steps_before(modules: Sequence[Any], run: RunPlan, sized: Sized) -> dict[int, list[Alone]]:
+    """Those that are applied before each augmentation that derives columns, one by one, as `with_derived` has them."""
+    spans = [call.span for call in run.calls]
+    chains = sized.bound(modules, spans, run.draws[0].plan[0] + run.derived_columns)
+    steps: list[Alone] = []
+    before: dict[int, list[Alone]] = {}
+    for number, (module, call) in enumerate(zip(modules, run.calls)):
+        if call.derived_from is not None:
+            before[number] = [*steps]
+        if call.applies:
+            contribution = module._contribution(call.shape, module.flags)
+            motion = None if contribution is None else contribution.motion
+            own = () if motion is None else module._bound(motion.chain or (), call.span)
+            steps.append(Alone(number, chains.get(number) or own))
+    return before
 
 
 def _draws_windows(sized: Sized) -> bool:

@@ -9,14 +9,15 @@ the list give. Where the first augmentation makes the list a batch, labels and t
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import replace
-from functools import partial
 from itertools import repeat
 from typing import Any
 
 import torch
 from torch import Tensor
 from torch.compiler import is_compiling
+from torch.nn.functional import pad
 
 from kvision._constants import on_device
 from kvision.augmentation.columns import Columns
@@ -25,7 +26,7 @@ from kvision.augmentation.engine.call_context import CallContext
 from kvision.augmentation.engine.drawing import decides, may_apply
 from kvision.augmentation.engine.execution import Execution, ListExecution, Params
 from kvision.augmentation.engine.list_calls import refuse_list, seeds_of_list
-from kvision.augmentation.engine.list_moves import LabelStep, label_steps
+from kvision.augmentation.engine.list_moves import LabelStep, label_steps, moves_of_run
 from kvision.augmentation.engine.list_plans import (
     ListPlan,
     ReplayPlan,
@@ -37,12 +38,13 @@ from kvision.augmentation.engine.list_plans import (
 )
 from kvision.augmentation.engine.list_records import ListParts, record_of_run
 from kvision.augmentation.engine.parts import Parts, params_of_rows
-from kvision.augmentation.engine.passes import Running, plan_steps
+from kvision.augmentation.engine.passes import Running, Step, plan_steps
 from kvision.augmentation.engine.record import Child, Record
 from kvision.augmentation.engine.runs import execute, keep_executions, replayed, run_steps, runs_of, with_derived
 from kvision.augmentation.engine.sized import SIZES, ImagesOfList, find_sized
 from kvision.augmentation.engine.stages import Stage, Warp
 from kvision.augmentation.keys import Keys
+from kvision.augmentation.lists.masks import masks_of_one_type, move_masks
 from kvision.augmentation.noise import PixelNoise
 from kvision.augmentation.sample_rows import index_of, numbers_by, read_rows
 from kvision.augmentation.transforms import Transform
@@ -54,6 +56,7 @@ from kvision.geometry.transform.lists.arguments import sizes as sides_of
 class ListRun(ImagesOfList):
     """A run on a list: it draws, and has what it drew for the calls of its parts."""
 
+    _drawn = 0  # columns before any are derived
     found: Tensor | None = None  # (B, 1, H, W) of the largest sides, what masks gave
     _label_steps: list[LabelStep] | None = None  # no cached property, whose lock has no graph before Python 3.12
 
@@ -72,10 +75,9 @@ class ListRun(ImagesOfList):
         super().__init__(plan.sized, sides)
         executions = plan.executions(images, columns, keys) if plan.reads_executions else []
         if run.derives and columns is not None:
-            width, sized = run.draws[0].plan[0], columns.shape[1]  # the numbers of sizes follow what is derived
-            sizes_before = partial(self._sizes_before, images, executions)
-            columns = with_derived(modules, executions, columns, run, self.context, sizes_before)
-            columns = torch.cat([columns[:, :width], columns[:, sized:], columns[:, width:sized]], 1)
+            self._drawn = columns.shape[1]
+            columns = with_derived(modules, executions, columns, run, self.context, self)
+            columns = self._in_order(columns)
             executions = plan.executions(images, columns, keys)
         self.columns = columns
         if modules[0].needs_masks:
@@ -90,12 +92,36 @@ class ListRun(ImagesOfList):
             self.context = self.context._replace(labels=None)  # which have the images, that would be kept
         return y if run.steps else list(images), stages, executions
 
-    def _sizes_before(self, images: Sequence[Tensor], executions: Sequence[Execution], number: int) -> Tensor:
+    def sizes_before(self, number: int) -> Tensor:
         """Height and width (B, 2) of images before an augmentation."""
-        has_one_size = number > self.sized.own
-        sides = executions[number].shape[2:] if has_one_size else self.sized.sizes_after(range(number), images)
-        sizes = on_device(torch.tensor(sides, dtype=torch.float32, device="cpu").view(-1, 2), images[0].device)
-        return sizes.expand(len(images), 2)
+        sides = torch.tensor(self._sides_before(number), dtype=torch.float32, device="cpu")
+        return on_device(sides.view(-1, 2), self.device).expand(self.shape[0], 2)
+
+    def _sides_before(self, number: int) -> Sequence[int]:
+        """The same as numbers, of all images at once where they have one size."""
+        if number > self.sized.own:
+            return self.plan.run.calls[number].shape[2:]
+        return self.sized.sides_after(range(number), self.sides)
+
+    def labels_before(self, number: int, columns: Tensor) -> Any:
+        """What an augmentation reads of the labels, with the columns of the run that are known by then."""
+        labels, kind = self.context.labels, self.modules[number].reads_labels
+        assert labels is not None
+        before = copy(self)
+        before.modules, before.columns = self.modules[:number], self._in_order(columns)
+        before._label_steps = before._steps_of_labels(self.plan.before[number])
+        if kind == "boxes":
+            moves = moves_of_run(before)
+            assert moves is not None  # by `find_sized`
+            return labels.moved(moves).boxes((*self.shape, *self._sides_before(number)[:2]))
+        masks, reading = labels.masks_of_samples(), labels.settings.masks
+        return masks and [move_masks(masks_of_one_type(own, self.sides), before, reading) for own in masks]
+
+    def _in_order(self, columns: Tensor) -> Tensor:
+        """The columns in their order: those that are drawn, derived ones, 0 for those that are not known yet, numbers of sizes."""
+        run, sized = self.plan.run, self._drawn
+        width, missing = run.draws[0].plan[0], run.derived_columns - (columns.shape[1] - sized)
+        return torch.cat([columns[:, :width], pad(columns[:, sized:], (0, missing)), columns[:, width:sized]], 1)
 
     @property
     def device(self) -> torch.device:
@@ -112,12 +138,15 @@ class ListRun(ImagesOfList):
     def label_steps(self) -> list[LabelStep]:
         """What labels follow, in their order."""
         if self._label_steps is None:
-            run, like = self.plan.run, torch.empty(self.shape[0], 0, dtype=self._type[0], device=self.device)
-            calls, columns = [(call.applies, call.shape) for call in run.calls], self.columns
-            if self.plan.numbers_of_labels is not None:
-                columns = with_numbers(columns, self.plan.numbers_of_labels, self.sides, like)
-            self._label_steps = label_steps(self.modules, calls, run.steps, columns, self, like)
+            self._label_steps = self._steps_of_labels(self.plan.run.steps)
         return self._label_steps
+
+    def _steps_of_labels(self, steps: Sequence[Step]) -> list[LabelStep]:
+        like = torch.empty(self.shape[0], 0, dtype=self._type[0], device=self.device)
+        calls, columns = [(call.applies, call.shape) for call in self.plan.run.calls], self.columns
+        if self.plan.numbers_of_labels is not None:
+            columns = with_numbers(columns, self.plan.numbers_of_labels, self.sides, like)
+        return label_steps(self.modules, calls, steps, columns, self, like)
 
     def execution(self, number: int, rows: Sequence[int] | None = None) -> Execution:
         """What an augmentation did to all images, or to some of them, whatever their size."""

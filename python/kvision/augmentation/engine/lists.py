@@ -12,7 +12,8 @@ from torch import Tensor
 from kvision._constants import on_device
 from kvision.augmentation import labels
 from kvision.augmentation.engine.label_settings import LabelSettings, MaskReading
-from kvision.augmentation.engine.stages import ByMatrix, Nested, Stage, Warp
+from kvision.augmentation.engine.stages import INSIDE, ByMatrix, Nested, Stage, Warp
+from kvision.augmentation.labels import is_within
 from kvision.augmentation.maps import exact, exact_each, warp_each
 from kvision.core.exceptions import ShapeError
 
@@ -69,6 +70,21 @@ class OnList(Stage):
 @dataclass
 class WarpOfList(ByMatrix, OnList):
     """Images of a list moved by matrices."""
+
+
+@dataclass
+class CropOfList(WarpOfList):
+    """Images of a list cropped, some so that boxes whose centers are outside are removed."""
+
+    crops: Tensor  # (B,) bool
+
+    @property
+    def removes_boxes(self) -> bool:
+        return True
+
+    def keeps_centers(self, centers: Tensor) -> Tensor:
+        inside = is_within(self.move_points(centers), self.after, INSIDE)
+        return inside | ~self.crops.to(inside.device)[:, None]
 
 
 class Round(Nested):

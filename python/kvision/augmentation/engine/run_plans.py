@@ -46,6 +46,11 @@ class RunPlan(NamedTuple):
     owners: Tensor | None = None  # (P,) on the CPU: the number of the augmentation that each column belongs to
     identity: tuple[float, ...] = ()  # what the columns hold for samples that do not get that augmentation
 
+    @property
+    def derived_columns(self) -> int:
+        """How many columns are derived."""
+        return sum(call.span.width for call in self.calls if call.derived_from is not None and call.span is not None)
+
     def columns(self, x: Tensor, keys: Keys | None, context: CallContext) -> Tensor | None:
         """The drawn columns of all augmentations."""
         if keys is None:

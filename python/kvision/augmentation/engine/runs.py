@@ -18,7 +18,7 @@ decided once for them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Hashable, Sequence
 from typing import Any
 
 import torch
@@ -240,11 +240,11 @@ def with_derived(
     columns: Tensor,
     plan: RunPlan,
     context: CallContext,
-    sizes_before: Callable[[int], Tensor] | None = None,
+    of_list: Any = None,
 ) -> Tensor:
     """The columns of a run, and behind them those that augmentations derive from the labels that are there before each of them.
 
-    Images of a list have sizes (B, 2) of their own before each augmentation.
+    A run `of_list` says `sizes_before` (B, 2) and `labels_before` each augmentation.
     """
     stages: list[Stage] = []
     parts = [columns]
@@ -252,17 +252,21 @@ def with_derived(
         if call.derived_from is not None:
             labels = None
             if module.reads_labels is not None and context.labels is not None:
-                labels = context.labels.after(stages).read(module.reads_labels, execution.shape, context.frames)
+                if of_list is None:
+                    labels = context.labels.after(stages).read(module.reads_labels, execution.shape, context.frames)
+                else:
+                    labels = of_list.labels_before(number, torch.cat(parts, 1))
                 labels = labels.to(columns.device) if isinstance(labels, Tensor) else labels
             drawn = Columns(columns, call.derived_from)
-            sizes = size_of(execution.shape, columns) if sizes_before is None else sizes_before(number)
-            if sizes_before is not None and isinstance(labels, list):
+            sizes = size_of(execution.shape, columns) if of_list is None else of_list.sizes_before(number)
+            if of_list is not None and isinstance(labels, list):
                 execution.columns = _derived_of_each(module, drawn, sizes, labels)
             else:
                 execution.columns = module._derived(drawn, sizes, labels, context.frames)
             execution.redraw = None  # the host does not know the labels
             parts.append(execution.columns.drawn)
-        stages.append(Applied(module, execution, module.flags))
+        if execution.applied or module.mixes_samples:
+            stages.append(Applied(module, execution, module.flags))
     columns = torch.cat(parts, 1)
     for execution, call in zip(executions, plan.calls):
         if call.derived_from is not None and call.span is not None:

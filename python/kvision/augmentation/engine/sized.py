@@ -298,11 +298,8 @@ def find_sized(modules: Sequence[Any], applied: Sequence[bool], channels: int, c
     """What depends on the sizes of images; None for what is no run on a list."""
     if any(m.mixes_samples or not m.takes_lists for m in modules):
         return None
-    for number, module in enumerate(modules):
-        moves = not all(m.keeps_positions for m in modules[:number])
-        reads_batches = number > 0 and module.reads_labels == "masks" and not module.needs_masks
-        if module.reads_labels is not None and (moves or reads_batches):
-            return None  # labels are read as the call has them
+    if not all(_follows(m.reads_labels, before) for number, m in enumerate(modules) for before in modules[:number]):
+        return None
     of_sizes = [own for _, own in _valid(Reading(modules, applied, _ANY, channels, context).shapes)]
     if any(shape[:2] != (_ANY, channels) for shapes in of_sizes for shape in shapes):
         return None
@@ -316,6 +313,16 @@ def find_sized(modules: Sequence[Any], applied: Sequence[bool], channels: int, c
             sizing.append(number)
     sized = Sized(Reading(modules[: own + 1], applied, _ANY, channels, context), own, sizing)
     return sized if sized.has_same_forms else None
+
+
+def _follows(kind: str | None, module: Any) -> bool:
+    """Whether labels of a kind that an augmentation reads follow one before it by what is known of all images together."""
+    if kind is None or module._leaves_labels or (kind == "boxes" and module.keeps_positions):
+        return True
+    chain = getattr(module, "matrix_transforms", None)
+    if chain is None or chain((1, 3, *SIZES[0]), module.flags) is None or module._is_overridden("apply_transform_mask"):
+        return False
+    return bool(module._warps_points if kind == "boxes" else module._warps_masks)
 
 
 # --- sizes of results -----------------------------------------------------------------------------------------------

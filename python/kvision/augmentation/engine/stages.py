@@ -19,7 +19,7 @@ from kvision.augmentation.warp_and_color import Resampling
 from kvision.constants import Resample
 from kvision.geometry.linalg import transform_points
 
-_INSIDE = 0.5 - 1e-3  # of a center: not on an edge of the image, where rounding would decide
+INSIDE = 0.5 - 1e-3  # of a center: not on an edge of the image, where rounding would decide
 
 
 class Stage:
@@ -273,7 +273,7 @@ class Applied(Stage):
         if not self.removes_boxes:
             return None
         size = self.module.output_shape(self.execution.shape, self.flags)[2:]
-        inside = is_within(self.move_points(centers), size, _INSIDE)
+        inside = is_within(self.move_points(centers), size, INSIDE)
         return inside if self.execution.chosen is None else inside | ~self.execution.chosen.to(inside.device)[:, None]
 
     def move_points_back(self, points: Tensor) -> Tensor:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import reduce
 from itertools import accumulate
 from typing import Any
 
@@ -10,8 +11,10 @@ import torch
 from torch import Tensor
 
 from kvision._dtype import as_dtype, compute_dtype
+from kvision.augmentation import labels
 from kvision.augmentation.maps import as_type_of_each, exact_each, warp_each
 from kvision.augmentation.sample_rows import index_of
+from kvision.core.exceptions import ShapeError
 from kvision.geometry.transform.lists.arguments import sizes
 
 # What a kernel that copies values takes masks of other types for; those of uint8 and of floating point are themselves.
@@ -27,6 +30,21 @@ def checked_masks(masks: Any, sides: Sequence[int]) -> list[Tensor] | None:
     if sizes(masks) != list(sides):
         return None
     return [m if m.dim() == 3 else m[None] for m in masks]
+
+
+def masks_of_one_type(masks: Any, sides: Sequence[int]) -> list[Tensor]:
+    """Masks of images of these sizes as (N, H, W), of the type that the types of all promote to."""
+    labels.check_tensors("the masks of an image", masks)
+    dtypes = {m.dtype for m in masks}
+    if len(dtypes) > 1:
+        masks = [m.to(reduce(torch.promote_types, dtypes)) for m in masks]
+    checked = checked_masks([m if m.dim() == 3 else m[None] for m in masks], sides)
+    if checked is None:
+        raise ShapeError(
+            f"AugmentationSequential: expected masks (N, H, W) of the sizes of their images, on one device, "
+            f"got {[tuple(m.shape) for m in masks]}"
+        )
+    return checked
 
 
 def filled_masks(

@@ -75,6 +75,15 @@ def test_each_image_gets_what_it_gets_alone(name, dtype, device):
             assert_close(a, b, *((0, 1) if is_byte else (8e-3, 8e-3)))
 
 
+def test_some_given_maps_may_have_a_plane_of_each_channel(device):
+    augment = A.AugmentationSequential(A.RandomLinearIllumination(p=1.0), data_keys=["input"])
+    images = pictures(device, SMALL, torch.float32)
+    expected = augment(images)
+    maps = augment._params[0].data["gradient"]
+    maps[1] = maps[1].contiguous()
+    assert all(torch.equal(a, b) for a, b in zip(expected, augment(images, params=augment._params)))
+
+
 @pytest.mark.parametrize("name", MAKE)
 def test_equal_sizes_are_a_batch(name, device):
     augment, images = MAKE[name](p=0.7), [x[:, :15, :16].contiguous() for x in pictures(device, SMALL)]

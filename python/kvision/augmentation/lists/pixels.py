@@ -80,9 +80,10 @@ def unpacked_maps(packed: Tensor | None, images: Sequence[Tensor], planes: int) 
 def given_maps(maps: Maps, device: torch.device, dtype: torch.dtype, chosen: Tensor | None = None) -> list[Tensor]:
     """Maps (P, H, W) of each image, in a type and on a device, by one copy; 0 of those that are not `chosen`, (B,).
 
-    One that is the same for all channels is (1, H, W).
+    Where all are the same for all channels they are (1, H, W).
     """
     each = [own[0] if own.dim() == 4 else own for own in maps]
-    row = PixelRow([own if own.stride(0) else own[:1] for own in each])
+    is_shared = all(own.stride(0) == 0 for own in each)
+    row = PixelRow([own[:1] for own in each] if is_shared else each)
     values = row.of(row.images).to(device, dtype)
     return row.split(values if chosen is None else values * row.of_images(chosen.to(values)))

@@ -7,8 +7,8 @@ namespace kv::augmentation {
 namespace {
 
 // `moved` says which samples have a map among those of `link`; `bounded` which read only the image.
-std::tuple<Tensor, Tensor> read_nodes_list(Tensor const& link, OptionalTensor const& coordinates,
-                                           OptionalTensor const& kinds, std::vector<int64_t> const& before,
+std::tuple<Tensor, Tensor> read_nodes_list(Tensor const& link, std::optional<Tensor> const& coordinates,
+                                           std::optional<Tensor> const& kinds, std::vector<int64_t> const& before,
                                            std::vector<int64_t> const& moved, std::vector<int64_t> const& bounded,
                                            std::vector<int64_t> const& sides, std::vector<int64_t> const& margins) {
   constexpr char const* op = "read_nodes_list";

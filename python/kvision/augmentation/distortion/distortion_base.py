@@ -70,8 +70,12 @@ class MapAugmentation(AugmentationBase2D, keeps_contract=True):
         return where_chosen(execution.chosen, match_layout(y, x), x)
 
     def _operates_on(self, dtype: torch.dtype) -> bool:
-        is_known = self._has_maps_of_lists and not self._is_overridden("displacements") and not self._is_customized()
-        return is_known and (dtype.is_floating_point or dtype == torch.uint8)
+        return self._knows_maps_of_lists and (dtype.is_floating_point or dtype == torch.uint8)
+
+    @property
+    def _knows_maps_of_lists(self) -> bool:
+        """Whether `_maps_of_list` has the maps that `displacements` has of a batch."""
+        return self._has_maps_of_lists and not self._is_overridden("displacements") and not self._is_customized()
 
     @property
     def _has_maps_of_lists(self) -> bool:

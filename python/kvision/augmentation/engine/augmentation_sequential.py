@@ -249,6 +249,7 @@ class AugmentationSequential(ImageSequential):
             stages, sizes = moves.stages(inputs[first][0].device)
             record.labels = LabelRecord(settings, parts.shape, sizes, masks)
             outputs = record.labels.move(keys, outputs, Chain(stages), masks_at)
+            Chain(stages).forget()
         elif len(moved) < len(keys) - 1:
             each = [
                 self._with_labels(keys, parts.inputs(rows, keys, outputs), call, settings, masks, list(moved))

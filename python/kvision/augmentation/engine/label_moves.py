@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 from kvision._constants import on_device
+from kvision.augmentation.engine.lists import MapOfList, OnList, SizeOfEach
 from kvision.augmentation.engine.stages import Chain, Stage
 from kvision.augmentation.labels import (
     around_outlines,
@@ -27,6 +28,7 @@ from kvision.augmentation.labels import (
 )
 from kvision.augmentation.maps import vector
 from kvision.augmentation.preimages import EXACT, ResultMap, at_nodes, result_map
+from kvision.augmentation.preimages_list import NodeReading, ResultMapList, result_map_list
 from kvision.augmentation.samples import where_chosen
 
 _SIDE = 16  # points on each side of a box that moves through what bends its sides
@@ -47,7 +49,7 @@ class LabelMoves:
     def __init__(self, stages: Chain, size: Sequence[Any], clips: bool = False) -> None:
         self.chain, self.size, self.clips = Chain(stages.flat()), size, clips
         self.stages = self.chain.stages
-        self._map: ResultMap | None = None
+        self._map: ResultMap | ResultMapList | None = None
         self._has_maps = bool(self.chain.maps())
 
     # --- points ---
@@ -121,12 +123,13 @@ class LabelMoves:
         is_shown, is_known = shown[..., 0].isfinite(), whole[..., 0].isfinite()
         by_matrices = self._moved_outlines(corners, is_upright)
         by_matrices = rectangle_around(by_matrices) if is_upright else by_matrices
+        by_matrices, of_matrices = self._clipped_without_map(corners, by_matrices)
         whole = line_corners(normals, whole, by_matrices.to(quads))
         moved = torch.where(is_shown[..., None, None], line_corners(normals, shown, whole), whole)
         fraction = torch.where(is_shown, polygon_area(moved) / polygon_area(whole).clamp(min=1e-9), 0.0).clamp(max=1)
         moved = torch.where(is_known[..., None, None], moved.to(corners), by_matrices)
         is_mapped = self._is_mapped()
-        return where_chosen(is_mapped, moved, by_matrices), where_chosen(is_mapped, fraction, 1.0)
+        return where_chosen(is_mapped, moved, by_matrices), where_chosen(is_mapped, fraction, of_matrices)
 
     def _moved_outlines(self, corners: Tensor, is_upright: bool) -> Tensor:
         """Points of boxes, as `_around_outlines` gives them, moved by all but maps."""
@@ -152,21 +155,49 @@ class LabelMoves:
         moved = where_chosen(_members(polygons, self.stages), rectangle_around(polygons), corners)
         return moved, fraction.clamp(max=1)
 
+    def _clipped_without_map(self, corners: Tensor, moved: Tensor) -> tuple[Tensor, Any]:
+        """Boxes that no map moves, and their visible fractions: of images of a list that went through none they are cut off."""
+        through = [stage for stage in self.stages if isinstance(stage, MapOfList)] if self.clips else []
+        has_map = _members(moved, through) if through else None
+        if has_map is None:
+            return moved, 1.0
+        clipped, fraction = self._clipped(corners)
+        return where_chosen(has_map, moved, clipped), where_chosen(has_map, torch.ones_like(fraction), fraction)
+
     # --- maps ---
 
     def forget_map(self) -> None:
         """Free what is as large as the images. It can be computed again."""
         self._map = None
 
-    def _result_map(self, like: Tensor) -> ResultMap:
+    def _result_map(self, like: Tensor) -> ResultMap | ResultMapList:
         """Where the results read the images, in float32."""
         if self._map is None or self._map.coordinates.device != like.device:
             float_like = like.new_empty(0, dtype=torch.float32)
+            if isinstance(self.size, SizeOfEach):
+                self._map = self._result_map_list(self.size.sides, float_like)
+                return self._map
             before = self.stages[0].source_size() or self.size
             with torch.no_grad():
                 reach = _REACH * max(*self.size, *before)
                 self._map = result_map(self.size, reach, float_like, functools.partial(self._read, like.shape[0]))
         return self._map
+
+    def _result_map_list(self, sides: Sequence[int], like: Tensor) -> ResultMapList:
+        """The same of a list, for height and width of each result."""
+        readings: list[NodeReading] = []
+        everything = range(len(sides) // 2)
+        for i, stage in reversed(list(enumerate(self.stages))):
+            assert isinstance(stage, OnList)
+            through = _numbers(self.stages[:i], stage) if i > 0 else set()
+            own = stage.read(like, [through is None or sample in through for sample in everything])
+            if own is not None:
+                readings.append(own)
+        before = self.chain.source_size()
+        assert isinstance(before, SizeOfEach)
+        sizes = zip(sides[::2], sides[1::2], before.sides[::2], before.sides[1::2])
+        with torch.no_grad():
+            return result_map_list(sides, [_REACH * max(own) for own in sizes], readings)
 
     def _read(self, batch: int, nodes: Tensor, margin: int) -> tuple[Tensor, Tensor]:
         """Where nodes (H, W, 2) of results read the images, (B, H, W, 2), and whether they are within the images in between."""
@@ -195,7 +226,15 @@ class LabelMoves:
 
 
 def _members(like: Tensor, stages: Sequence[Stage], then: Stage | None = None) -> Tensor | None:
-    """Which samples (B,) of points or boxes like these have been through any of some stages, and `then` one; None for all."""
+    """Which samples (B,) of points or boxes like these `_numbers` has; None for all."""
+    members = _numbers(stages, then)
+    if members is None:
+        return None
+    return on_device(torch.tensor([i in members for i in range(len(like))], device="cpu"), like.device)
+
+
+def _numbers(stages: Sequence[Stage], then: Stage | None = None) -> set[int] | None:
+    """The samples that have been through any of some stages, and `then` one; None for all."""
     each = [stage.members() for stage in stages]
     members: set[int] | None = None
     if not any(samples is None for samples in each):
@@ -203,9 +242,7 @@ def _members(like: Tensor, stages: Sequence[Stage], then: Stage | None = None) -
     own = None if then is None else then.members()
     if own is not None:
         members = {*own} if members is None else members.intersection(own)
-    if members is None:
-        return None
-    return on_device(torch.tensor([i in members for i in range(len(like))], device="cpu"), like.device)
+    return members
 
 
 def move_boxes_back(stages: Chain, corners: Tensor, is_upright: bool) -> tuple[Tensor, None]:

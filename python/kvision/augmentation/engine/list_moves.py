@@ -2,21 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
+from kvision._constants import on_device
 from kvision._dtype import as_dtype, compute_dtype
 from kvision.augmentation.engine.label_settings import LabelSettings
-from kvision.augmentation.engine.lists import CropOfList, OnList, Round, SizeOfEach, WarpOfList, with_sides
+from kvision.augmentation.engine.lists import (
+    CropOfList,
+    MapOfList,
+    OnList,
+    Round,
+    SizeOfEach,
+    WarpOfList,
+    with_sides,
+)
 from kvision.augmentation.engine.passes import Joined
 from kvision.augmentation.engine.sized import SIZES, ImagesOfList
 from kvision.augmentation.engine.stages import Stage
 from kvision.augmentation.sample_rows import index_of
 from kvision.augmentation.transforms import transform_matrix
 from kvision.augmentation.warp_and_color import Resampling
+from kvision.geometry.transform.lists.remap_list import repeated
 
 
 class LabelStep(NamedTuple):
@@ -72,8 +82,38 @@ def label_steps(
     return found
 
 
+class ListMap(NamedTuple):
+    """Maps of images of a list.
+
+    Attributes:
+        make: gives them like a tensor, as `remap_list` takes them.
+        chosen: (B,) bool, the images that are displaced; None for all.
+        sides: height and width of each image.
+    """
+
+    make: Callable[[Tensor], Tensor]
+    chosen: Tensor | None
+    sides: Sequence[int]
+
+    def of_rows(self, rows: Sequence[int]) -> ListMap:
+        """The maps of some of these images."""
+        chosen = None if self.chosen is None else self.chosen.index_select(0, index_of(rows, self.chosen))
+        sides = [n for i in rows for n in self.sides[2 * i : 2 * i + 2]]
+        return ListMap(lambda like: repeated(self.make(like), self.sides, rows), chosen, sides)
+
+    def chosen_of(self, samples: Sequence[int], count: int, device: torch.device) -> Tensor:
+        """Which of `count` images (B,) are displaced if these are the samples."""
+        if self.chosen is None:
+            return on_device(torch.tensor([i in samples for i in range(count)], device="cpu"), device)
+        none = torch.zeros(count, dtype=torch.bool, device=device)
+        return none.index_copy(0, index_of(samples, none), self.chosen.to(device))
+
+
 class Move(NamedTuple):
-    """A step on some images of a list: all, where `samples` is None. Sizes are height and width of all images around it."""
+    """A step on some images of a list: all, where `samples` is None. Sizes are height and width of all images around it.
+
+    It has matrices, maps, or neither where nothing moves.
+    """
 
     matrix: Tensor | None
     before: Sequence[int]
@@ -82,16 +122,31 @@ class Move(NamedTuple):
     crops: Tensor | None = (
         None  # bool, one of each, those of which boxes with centers outside of the results are removed
     )
+    map: ListMap | None = None
 
     def of_some(self, samples: Sequence[int], sides: Sequence[int]) -> Move:
         """The same as a step on some images of a list of these sizes."""
         before, after = (with_sides(sides, samples, own) for own in (self.before, self.after))
-        return Move(self.matrix, before, after, _places(samples, self.samples), self.crops)
+        return self._replace(before=before, after=after, samples=_places(samples, self.samples))
+
+    def of_rows(self, rows: Sequence[int]) -> Move:
+        """The step on some of its images."""
+        own_map, matrix, crops = self.map, self.matrix, self.crops
+        if matrix is not None:
+            index = index_of(rows, matrix)
+            matrix = matrix.index_select(0, index)
+            crops = None if crops is None else crops.index_select(0, index)
+        own_map = None if own_map is None else own_map.of_rows(rows)
+        samples = rows if self.samples is None else [self.samples[i] for i in rows]
+        return Move(matrix, self.before, self.after, samples, crops, own_map)
 
     def stage(self, device: torch.device) -> Stage:
         """The same as a stage of all images."""
         matrix, crops, samples, count = self.matrix, self.crops, self.samples, len(self.before) // 2
         before, after = SizeOfEach(self.before, device), SizeOfEach(self.after, device)
+        if self.map is not None:
+            chosen = self.map.chosen if samples is None else self.map.chosen_of(samples, count, device)
+            return MapOfList(before, after, samples, self.map.make, chosen)
         if matrix is None:
             return OnList(before, after, samples)
         if samples is not None:
@@ -203,20 +258,16 @@ class _Rounds:
                 self._add(move.moves, clips or move.settings.clips_each)
                 for number, images in self._by_round(filtered if move.filters else []):
                     settings = LabelSettings(False, move.settings.box_filter)
-                    own = Round([], settings, SizeOfEach(move.after, self._device), images)
-                    self._filters.setdefault(number, []).append(own)
+                    rule = Round([], settings, SizeOfEach(move.after, self._device), images)
+                    self._filters.setdefault(number, []).append(rule)
                 self._end(filtered)
                 continue
             samples = range(len(self._round)) if move.samples is None else move.samples
             row_of = {sample: row for row, sample in enumerate(samples)}
             for number, images in self._by_round(samples):
-                matrix, crops = move.matrix, move.crops
-                if matrix is not None and len(images) < len(samples):
-                    rows = index_of([row_of[i] for i in images], matrix)
-                    matrix = matrix.index_select(0, rows)
-                    crops = None if crops is None else crops.index_select(0, rows)
-                own_move = Move(matrix, move.before, move.after, images, crops)
-                self._moves.setdefault((number, clips), []).append(own_move)
+                is_whole = len(images) == len(samples)
+                own = move._replace(samples=images) if is_whole else move.of_rows([row_of[i] for i in images])
+                self._moves.setdefault((number, clips), []).append(own)
 
     def _by_round(self, samples: Sequence[int]) -> list[tuple[int, list[int]]]:
         groups: dict[int, list[int]] = {}
@@ -230,24 +281,38 @@ class _Rounds:
 
 
 def moves_of_run(run: Any) -> Moves | None:
-    """Those of a run on a list; None where labels do not follow the matrices of its warps, or one removes boxes."""
+    """Those of a run on a list; None where labels do not follow the matrices of its warps and its maps."""
     moves: list[Move | Inside] = []
     sides = run.sides
     for step in run.label_steps:
         crops: Tensor | None = None
+        own_map: ListMap | None = None
         for number in step.numbers:
             module = run.modules[number]
             by_matrix = step.matrix is not None and module._warps_points
-            if not (module.keeps_positions or by_matrix):
+            if module.moves_by_map and module._knows_maps_of_lists:
+                own_map = _map_of_run(run, number, step.before)
+            elif not (module.keeps_positions or by_matrix):
                 return None
             if module.removes_boxes:
                 if not all(n == number or _permutes_pixels(run.modules[n]) for n in step.numbers):
                     return None  # a box may leave the image in another one
                 chosen = run.execution(number).chosen
                 crops = step.matrix.new_ones(len(step.matrix), dtype=torch.bool) if chosen is None else chosen
-        moves.append(Move(step.matrix, step.before, step.after, None, crops))
+        moves.append(Move(step.matrix, step.before, step.after, None, crops, own_map))
         sides = step.after
     return Moves(moves, sides)
+
+
+def _map_of_run(run: Any, number: int, sides: Sequence[int]) -> ListMap:
+    """The maps of an augmentation of a run, by height and width of the images before it."""
+    execution, count = run.execution(number), len(sides) // 2
+
+    def make(like: Tensor) -> Tensor:
+        maps: Tensor = run.modules[number]._maps_of_list(sides, execution, like.new_empty(count, 0))
+        return maps
+
+    return ListMap(make, None if execution.chosen is None else execution.chosen.expand(count), sides)
 
 
 def _permutes_pixels(module: Any) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,6 +15,7 @@ from kvision.augmentation.engine.label_settings import LabelSettings, MaskReadin
 from kvision.augmentation.engine.stages import INSIDE, ByMatrix, Nested, Stage, Warp
 from kvision.augmentation.labels import is_within
 from kvision.augmentation.maps import exact, exact_each, warp_each
+from kvision.augmentation.preimages_list import NodeReading, displaced
 from kvision.core.exceptions import ShapeError
 
 
@@ -22,21 +23,20 @@ class SizeOfEach(Sequence[Tensor]):
     """Heights and widths (B, 1) of images, on their device when they are asked for."""
 
     def __init__(self, sides: Sequence[int], device: torch.device) -> None:
-        self._sides, self._device = sides, device
+        self.sides, self._device = sides, device
         self._of_axes: Tensor | None = None
 
     @staticmethod
     def sides_of(size: Any, count: int) -> Sequence[int]:
         """Height and width of each of `count` images of a size."""
-        sides: Sequence[int] = size._sides if isinstance(size, SizeOfEach) else [*size] * count
-        return sides
+        return size.sides if isinstance(size, SizeOfEach) else [*size] * count
 
     def __len__(self) -> int:
         return 2
 
     def __getitem__(self, axis: Any) -> Any:
         if self._of_axes is None:
-            of_axes = torch.tensor(self._sides, dtype=torch.float32, device="cpu").view(-1, 2).T[..., None]
+            of_axes = torch.tensor(self.sides, dtype=torch.float32, device="cpu").view(-1, 2).T[..., None]
             self._of_axes = on_device(of_axes, self._device)
         return self._of_axes[axis]
 
@@ -66,10 +66,53 @@ class OnList(Stage):
     def result_size(self) -> SizeOfEach:
         return self.after
 
+    def read(self, like: Tensor, bounded: Sequence[bool]) -> NodeReading | None:
+        """How it reads nodes, in the type and on the device of `like`; None where it moves nothing."""
+        return None
+
 
 @dataclass
 class WarpOfList(ByMatrix, OnList):
     """Images of a list moved by matrices."""
+
+    def read(self, like: Tensor, bounded: Sequence[bool]) -> NodeReading:
+        back = torch.linalg.inv_ex(self.matrix).inverse.to(like)
+        return NodeReading(back, self.before.sides, [False] * len(bounded), bounded)
+
+
+@dataclass
+class MapOfList(OnList):
+    """Images of a list, all or some of them, moved by a map each."""
+
+    make: Callable[[Tensor], Tensor]  # gives the maps of its samples, like a tensor
+    chosen: Tensor | None  # (B,) bool, those that are displaced; None for all
+    _maps: Tensor | None = None
+
+    @property
+    def keeps_lines(self) -> bool:
+        return False
+
+    @property
+    def moved(self) -> list[bool]:
+        """Which images have a map."""
+        return [self.samples is None or i in self.samples for i in range(len(self.before.sides) // 2)]
+
+    def maps(self) -> list[Tensor | None]:
+        return [self.chosen]
+
+    def move_points_back(self, points: Tensor) -> Tensor:
+        return displaced(points, self._known(points), self.before.sides, self.moved)
+
+    def read(self, like: Tensor, bounded: Sequence[bool]) -> NodeReading:
+        return NodeReading(self._known(like), self.before.sides, self.moved, bounded)
+
+    def forget(self) -> None:
+        self._maps = None
+
+    def _known(self, like: Tensor) -> Tensor:
+        if self._maps is None or self._maps.device != like.device or self._maps.dtype != like.dtype:
+            self._maps = self.make(like)
+        return self._maps
 
 
 @dataclass

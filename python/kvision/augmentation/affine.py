@@ -12,18 +12,22 @@ from kvision import _check
 from kvision._constants import constant
 from kvision._dtype import compute_dtype
 from kvision.augmentation import ranges
+from kvision.augmentation.columns import Column
 from kvision.augmentation.draws import Draw
 from kvision.augmentation.engine import Execution, Shape
 from kvision.augmentation.geometric_base import AntialiasedByMatrix, GeometricAugmentationBase2D
 from kvision.augmentation.keys import refuse_capture, refuse_graphs
-from kvision.augmentation.maps import warp, warp_labels
+from kvision.augmentation.lists.sides import rows_on_device
+from kvision.augmentation.maps import warp, warp_each, warp_labels
 from kvision.augmentation.random_generator.affine import AffineGenerator, ShearGenerator, TranslateGenerator
 from kvision.augmentation.random_generator.base import RandomGeneratorBase
 from kvision.augmentation.random_generator.plain import PlainUniformGenerator
 from kvision.augmentation.ranges import Numbers, NumbersOfAxes
 from kvision.augmentation.transforms import Transform, center_of, transform_matrix
+from kvision.augmentation.warp_and_color import fill_of_images
 from kvision.constants import AnyResample, AnySamplePadding, Resample, SamplePadding
 from kvision.core.exceptions import TypeCheckError, ValueCheckError
+from kvision.geometry.transform.lists.arguments import like_batch, sizes
 
 __all__ = ["RandomAffine", "RandomRotation", "RandomRotation90", "RandomShear", "RandomTranslate"]
 
@@ -131,14 +135,15 @@ class RandomRotation(GeometricAugmentationBase2D):
         self.flags = _flags(resample, padding_mode, align_corners)
         if fill is not None:
             self.flags.update(_fill_flags("RandomRotation", "fill", fill, padding_mode))
-        self.has_known_size = not _check.switch("RandomRotation", "expand", expand)
+        self.replays_lists = _check.switch("RandomRotation", "expand", expand)
+        self.has_known_size = not self.replays_lists
 
     def transforms(self, shape: Shape, flags: dict[str, Any]) -> Sequence[Transform] | None:
-        return self._rotation(shape) if self.has_known_size else None
+        return self._rotation(center_of(shape)) if self.has_known_size else None
 
     @staticmethod
-    def _rotation(shape: Shape) -> Sequence[Transform]:
-        return [Transform.affine(center_of(shape), angle="degrees")]
+    def _rotation(center: Any, angle: Any = "degrees") -> Sequence[Transform]:
+        return [Transform.affine(center, angle=angle)]
 
     # --- results of another size, which depends on the angles ---
 
@@ -147,14 +152,34 @@ class RandomRotation(GeometricAugmentationBase2D):
         refuse_graphs(type(self).__name__)
         refuse_capture(type(self).__name__)
         height, width = execution.shape[-2:]
-        angles = torch.deg2rad(self._read_params(execution)["degrees"].double())
-        if execution.chosen is not None:
-            angles = torch.where(execution.chosen.to(angles.device), angles, 0)
-        cos, sin = angles.cos().abs(), angles.sin().abs()
-        # Quarter turns are exact up to rounding.
-        sides = torch.stack([height * cos + width * sin, height * sin + width * cos], 1).sub(1e-6).ceil().int()
+        sides = _rotated_sides(height, width, self._read_params(execution)["degrees"], execution.chosen)
         h, w = sides.amax(0).tolist() if len(sides) else (height, width)
         return h, w
+
+    def _operates_on(self, dtype: torch.dtype) -> bool:
+        return super()._operates_on(dtype) if self.has_known_size else not self._is_customized()
+
+    def _run_list(self, images: Sequence[Tensor], execution: Execution) -> list[Tensor]:
+        if self.has_known_size:
+            return super()._run_list(images, execution)
+        like, chosen = like_batch(images), execution.chosen
+        if execution.params is None:
+            angles, own = self._values_on_host(execution)[:, 0], self._columns_on_host(execution)
+            on_host = None if own is None or own.chosen is None else own.chosen > 0.5
+        else:
+            angles, on_host = execution.params["degrees"], chosen
+        sides = torch.tensor(sizes(images), dtype=torch.float64, device="cpu").view(-1, 2)
+        rotated = _rotated_sides(*sides.unbind(1), angles, on_host)
+        numbers = torch.cat([angles[:, None], (sides.flip(1) - 1) / 2, (rotated - sides).flip(1) / 2], 1)
+        columns = rows_on_device(numbers, like, compute_dtype(like))
+        matrix = transform_matrix(columns, self._rotation((Column(1), Column(2)), Column(0)))
+        matrix = matrix + torch.nn.functional.pad(columns[:, 3:, None], (2, 0, 0, 1))
+        if chosen is not None:
+            matrix = torch.where(chosen[:, None, None], matrix, torch.eye(3, dtype=matrix.dtype, device=matrix.device))
+        resampling = self.resampling(self.flags)
+        resampling = resampling._replace(fill=fill_of_images(like, resampling.fill))
+        results = warp_each(list(images), matrix, rotated.flatten().tolist(), resampling)
+        return list(results[0] if results[0].dim() == 4 else results)  # of one image a batch
 
     def _size_of(self, execution: Execution, flags: dict[str, Any]) -> Sequence[int]:
         return super()._size_of(execution, flags) if self.has_known_size else self._canvas(execution)
@@ -167,7 +192,7 @@ class RandomRotation(GeometricAugmentationBase2D):
         else:
             angles = execution.columns.values
         dtype = compute_dtype(x) if execution.identity is None else execution.identity[1]
-        chain = self._bound(self._rotation(execution.shape), None)
+        chain = self._bound(self._rotation(center_of(execution.shape)), None)
         rotation = transform_matrix(angles.to(x.device, dtype), chain)
         (height, width), (h, w) = execution.shape[-2:], self._canvas(execution)
         middle = constant(((w - width) / 2, (h - height) / 2), rotation)
@@ -193,6 +218,16 @@ class RandomRotation(GeometricAugmentationBase2D):
             return super().transform_masks(masks, execution, flags)
         resampling = self.resampling(flags).for_labels(fill=flags.get("mask_fill"))
         return warp_labels(masks, self._matrix(execution), self._canvas(execution), resampling)
+
+
+def _rotated_sides(height: Any, width: Any, degrees: Tensor, chosen: Tensor | None) -> Tensor:
+    """Height and width (B, 2) around images rotated by angles (B,), or around those that are not chosen."""
+    angles = torch.deg2rad(degrees.double())
+    if chosen is not None:
+        angles = torch.where(chosen.to(angles.device), angles, 0)
+    cos, sin = angles.cos().abs(), angles.sin().abs()
+    # Quarter turns are exact up to rounding.
+    return torch.stack([height * cos + width * sin, height * sin + width * cos], 1).sub(1e-6).ceil().int()
 
 
 class RandomShear(GeometricAugmentationBase2D):

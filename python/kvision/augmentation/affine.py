@@ -162,24 +162,31 @@ class RandomRotation(GeometricAugmentationBase2D):
     def _run_list(self, images: Sequence[Tensor], execution: Execution) -> list[Tensor]:
         if self.has_known_size:
             return super()._run_list(images, execution)
-        like, chosen = like_batch(images), execution.chosen
+        like = like_batch(images)
+        matrix, size = self._motion_of_list(sizes(images), execution, like)
+        resampling = self.resampling(self.flags)
+        resampling = resampling._replace(fill=fill_of_images(like, resampling.fill))
+        results = warp_each(list(images), matrix, size, resampling)
+        return list(results[0] if results[0].dim() == 4 else results)  # of one image a batch
+
+    def _motion_of_list(self, sides: Sequence[int], execution: Execution, like: Tensor) -> tuple[Tensor, list[int]]:
+        """Matrices (B, 3, 3) for height and width of each image, and those of results, like a tensor."""
+        chosen = execution.chosen
         if execution.params is None:
             angles, own = self._values_on_host(execution)[:, 0], self._columns_on_host(execution)
             on_host = None if own is None or own.chosen is None else own.chosen > 0.5
         else:
             angles, on_host = execution.params["degrees"], chosen
-        sides = torch.tensor(sizes(images), dtype=torch.float64, device="cpu").view(-1, 2)
-        rotated = _rotated_sides(*sides.unbind(1), angles, on_host)
-        numbers = torch.cat([angles[:, None], (sides.flip(1) - 1) / 2, (rotated - sides).flip(1) / 2], 1)
+        before = torch.tensor(sides, dtype=torch.float64, device="cpu").view(-1, 2)
+        height, width = before.unbind(1)
+        rotated = _rotated_sides(height, width, angles, on_host)
+        numbers = torch.cat([angles[:, None], (before.flip(1) - 1) / 2, (rotated - before).flip(1) / 2], 1)
         columns = rows_on_device(numbers, like, compute_dtype(like))
         matrix = transform_matrix(columns, self._rotation((Column(1), Column(2)), Column(0)))
         matrix = matrix + torch.nn.functional.pad(columns[:, 3:, None], (2, 0, 0, 1))
         if chosen is not None:
             matrix = torch.where(chosen[:, None, None], matrix, torch.eye(3, dtype=matrix.dtype, device=matrix.device))
-        resampling = self.resampling(self.flags)
-        resampling = resampling._replace(fill=fill_of_images(like, resampling.fill))
-        results = warp_each(list(images), matrix, rotated.flatten().tolist(), resampling)
-        return list(results[0] if results[0].dim() == 4 else results)  # of one image a batch
+        return matrix, rotated.flatten().tolist()
 
     def _size_of(self, execution: Execution, flags: dict[str, Any]) -> Sequence[int]:
         return super()._size_of(execution, flags) if self.has_known_size else self._canvas(execution)
@@ -211,7 +218,7 @@ class RandomRotation(GeometricAugmentationBase2D):
 
     @property
     def _warps_masks(self) -> bool:
-        return self.has_known_size and type(self).transform_masks is RandomRotation.transform_masks
+        return type(self).transform_masks is RandomRotation.transform_masks
 
     def transform_masks(self, masks: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
         if self.has_known_size or not execution.applied:

@@ -113,10 +113,10 @@ OPTIONS = {
     "pixels of colors": lambda: A.PixelDropout(0.3, drop_value=(0.1, 0.2, 0.3), p=1.0),
     "pixels by channel": lambda: A.PixelDropout(0.3, True, 0.5, p=1.0),
     "learned": lambda: A.RandomElasticTransform((5, 5), torch.tensor([[2.0, 2.0]]), p=1.0),
+    "expanded": lambda: A.RandomRotation(20.0, expand=True, p=1.0),
 }
 # Those that docs/inputs.md names: image by image.
 OPTIONS_BY_SIZE = {
-    "expanded": lambda: A.RandomRotation(20.0, expand=True, p=1.0),
     "slow": lambda: A.RandomClahe(grid_size=(2, 2), slow_and_differentiable=True, p=1.0),
     "learned by sides": lambda: A.RandomElasticTransform((5, 5), torch.tensor([[2.0, 2.0]]), scale_window=True, p=1.0),
 }

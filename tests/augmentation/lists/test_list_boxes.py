@@ -45,6 +45,11 @@ AUGMENTATIONS = {
         ),
         A.RandomThinPlateSpline(0.1, p=1.0),
     ],
+    "expanded": lambda: [
+        A.RandomVerticalFlip(),
+        A.RandomRotation(30.0, p=0.7, expand=True, fill=0.5),
+        A.OneOf(A.RandomRotation((90.0, 90.0), p=0.7, expand=True), A.RandomHorizontalFlip()),
+    ],
     "erased": lambda: [A.RandomAffine(20.0, p=1.0), A.RandomErasing(p=1.0)],
     "crop": lambda: [A.RandomHorizontalFlip(), A.RandomResizedCrop((12, 14)), A.RandomAffine(20.0)],
     "crop of a window": lambda: [

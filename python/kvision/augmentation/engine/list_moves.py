@@ -54,10 +54,11 @@ def label_steps(
     columns: Tensor | None,
     of_list: ImagesOfList,
     like: Tensor,
+    execution: Callable[[int], Any],
 ) -> list[LabelStep]:
     """What labels follow of a run on images like a batch, in its order.
 
-    `calls` say which augmentations are applied, and to images of which shape.
+    `calls` say which augmentations are applied, and to images of which shape; `execution` gives what one of them did.
     """
     columns = as_dtype(like.new_empty(len(like), 0) if columns is None else columns, compute_dtype(like))
     sides, own = list(of_list.sides), of_list.sized.own
@@ -77,6 +78,8 @@ def label_steps(
         elif of_list.sized.changes(numbers):
             after = of_list.sized.sides_after(numbers, sides)
         matrix = transform_matrix(columns, step.chain) if step.chain else None
+        if matrix is None and hasattr(module, "_motion_of_list") and not module.has_known_size:
+            matrix, after = module._motion_of_list(sides, execution(number), like)
         found.append(LabelStep(numbers, matrix, resampling, sides, after))
         sides = after
     return found

@@ -146,7 +146,7 @@ class ListRun(ImagesOfList):
         calls, columns = [(call.applies, call.shape) for call in self.plan.run.calls], self.columns
         if self.plan.numbers_of_labels is not None:
             columns = with_numbers(columns, self.plan.numbers_of_labels, self.sides, like)
-        return label_steps(self.modules, calls, steps, columns, self, like)
+        return label_steps(self.modules, calls, steps, columns, self, like, self.execution)
 
     def execution(self, number: int, rows: Sequence[int] | None = None) -> Execution:
         """What an augmentation did to all images, or to some of them, whatever their size."""
@@ -415,7 +415,9 @@ class ListReplay:
         running = self.running
         calls = [(execution.applied, execution.shape) for execution in running.executions]
         assert running.of_list is not None
-        return label_steps(self.modules, calls, self.steps, running.columns, running.of_list, self._like)
+        return label_steps(
+            self.modules, calls, self.steps, running.columns, running.of_list, self._like, self.execution
+        )
 
     def execution(self, number: int, rows: Sequence[int] | None = None) -> Execution:
         """As that of :class:`ListRun`."""

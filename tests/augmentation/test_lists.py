@@ -260,6 +260,14 @@ LABELED = {
 @pytest.mark.parametrize("name", LABELED)
 def test_labels_of_each_image(name, device):
     """Masks, boxes that a rule removes with their classes, points and matrices; forward, back, and without the images."""
+    is_rounded = "map" in name  # points between the pixels of maps
+
+    def assert_same_labels(a, b):
+        if is_rounded and isinstance(a, Tensor) and a.is_floating_point():
+            assert_close(a, b, 0, 1e-3)
+        else:
+            assert_same(a, b)
+
     images = pictures(device, SMALL)
     counts, seeds = (2, 0, 1, 3), seeds_of(images)
     masks = [torch.randint(0, 9, (n, *x.shape[1:]), device=device) for n, x in zip(counts, images)]
@@ -278,14 +286,14 @@ def test_labels_of_each_image(name, device):
         assert torch.equal(y[b], of_image[0]) and torch.equal(by_params[0][b], y[b])
         assert_close(matrices[b], matrix[0], 0, 0)
         for of_list, replayed, label in zip(moved, by_params[1:], of_labels):
-            assert_same(of_list[b], label[0])
-            assert_same(replayed[b], label[0])
+            assert_same_labels(of_list[b], label[0])
+            assert_same_labels(replayed[b], label[0])
         assert_same(kept[b], augment.kept_boxes[0][0])
         assert_same(visible[b], augment.visible_points[0][0])
-        assert_same(alone[b], augment([moved[3][b]], data_keys=["keypoints"])[0])
+        assert_same_labels(alone[b], augment([moved[3][b]], data_keys=["keypoints"])[0])
         augment(x[None], *own, seed=seeds[b : b + 1])
         for of_list, label in zip(back, augment.inverse(of_image, *of_labels)):
-            assert_same(of_list[b], label[0])
+            assert_same_labels(of_list[b], label[0])
 
 
 @pytest.mark.parametrize("sizes", [SMALL, SMALL[:1] * 4], ids=["of sizes", "of one size"])

@@ -18,7 +18,7 @@ from kvision.augmentation.engine import Execution, Shape
 from kvision.augmentation.geometric_base import AntialiasedByMatrix, GeometricAugmentationBase2D
 from kvision.augmentation.keys import refuse_capture, refuse_graphs
 from kvision.augmentation.lists.sides import rows_on_device
-from kvision.augmentation.maps import warp, warp_each, warp_labels
+from kvision.augmentation.maps import warp, warp_labels, warp_to_sizes
 from kvision.augmentation.random_generator.affine import AffineGenerator, ShearGenerator, TranslateGenerator
 from kvision.augmentation.random_generator.base import RandomGeneratorBase
 from kvision.augmentation.random_generator.plain import PlainUniformGenerator
@@ -166,8 +166,7 @@ class RandomRotation(GeometricAugmentationBase2D):
         matrix, size = self._motion_of_list(sizes(images), execution, like)
         resampling = self.resampling(self.flags)
         resampling = resampling._replace(fill=fill_of_images(like, resampling.fill))
-        results = warp_each(list(images), matrix, size, resampling)
-        return list(results[0] if results[0].dim() == 4 else results)  # of one image a batch
+        return warp_to_sizes(list(images), matrix, size, resampling)
 
     def _motion_of_list(self, sides: Sequence[int], execution: Execution, like: Tensor) -> tuple[Tensor, list[int]]:
         """Matrices (B, 3, 3) for height and width of each image, and those of results, like a tensor."""

@@ -312,3 +312,11 @@ def warp_each(
         return resize_windows_list(images, matrix, list(size), mode, resampling.align_corners)
     padding, fill = sampling.padding_and_fill("augmentation", like, resampling.padding, resampling.fill)
     return warp_list(images, matrix, fill, list(size), mode, padding, resampling.align_corners, inverse, False)
+
+
+def warp_to_sizes(
+    images: list[Tensor], matrix: Tensor, sizes: Sequence[int], resampling: Resampling, inverse: bool = True
+) -> list[Tensor]:
+    """`warp_each` for the height and width of each: an image (C, h, w) of each, also of one by itself."""
+    results = warp_each(images, matrix, sizes, resampling, inverse)
+    return list(results[0] if results[0].dim() == 4 else results)

@@ -20,7 +20,7 @@ from kvision.augmentation.geometric_base import GeometricAugmentationBase2D
 from kvision.augmentation.inputs import parse_size
 from kvision.augmentation.keys import refuse_capture, refuse_graphs, refuse_mapped
 from kvision.augmentation.lists.sides import rows_on_device
-from kvision.augmentation.maps import warp, warp_each, warp_labels
+from kvision.augmentation.maps import warp, warp_labels, warp_to_sizes
 from kvision.augmentation.random_generator.base import RandomGeneratorBase
 from kvision.augmentation.random_generator.crop import ResizeGenerator
 from kvision.augmentation.random_generator.plain import PlainUniformGenerator
@@ -279,7 +279,7 @@ class RandomScale(GeometricAugmentationBase2D):
         like = like_batch(images)
         of_each = rows_on_device(torch.cat([sides, scaled], 1), like, compute_dtype(like))
         matrices = transform_matrix(of_each, self._resizing(self.flags, *map(Column, range(4))))
-        return list(warp_each(list(images), matrices, of_all, self.resampling(self.flags)))
+        return warp_to_sizes(list(images), matrices, of_all, self.resampling(self.flags))
 
     def _run(self, x: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
         if not execution.applied or self._is_customized():

@@ -229,6 +229,7 @@ def test_labels_of_another_number_are_refused():
 @pytest.mark.tracing
 @pytest.mark.parametrize("name", ["affine", "map", "crop of a window", "pad", "crop by boxes of all", "crop by masks"])
 def test_graphs_have_masks_boxes_and_points(name):
+    torch._dynamo.reset()  # there are as many graphs of containers as it keeps
     augment = A.AugmentationSequential(*AUGMENTATIONS[name](), data_keys=["input", "mask", "bbox_xyxy", "keypoints"])
     images = pictures("cpu")
     masks, boxes, *_, points = labels_of(images)

@@ -97,6 +97,7 @@ def test_launches_do_not_depend_on_the_number_of_masks(name, dtype, backend):
 @pytest.mark.tracing
 @pytest.mark.parametrize("name", ["map", "dropped", "late resize"])
 def test_graphs_have_masks(name):
+    torch._dynamo.reset()
     augment = A.AugmentationSequential(*AUGMENTATIONS[name](), data_keys=["input", "mask"])
     images = pictures("cpu")[:2]
     masks = masks_of(images, torch.uint8)

@@ -30,6 +30,7 @@ SIZING = {
     "pad to": lambda: (A.PadTo((24, 24), crop_if_exceeds=False),),
     "scale": lambda: (A.RandomScale((0.5, 1.5), p=0.7),),
     "scale by warps": lambda: (A.RandomHorizontalFlip(), A.RandomScale((0.5, 1.5), antialias=False, p=1.0)),
+    "scale one by a warp": lambda: (A.RandomScale((0.5, 1.5), antialias=False, p=0.5),),
     "transpose": lambda: (A.Transpose(), A.RandomRotation(20.0)),
     "transpose twice": lambda: (A.Transpose(), A.RandomHorizontalFlip(), A.Transpose(), A.RandomPlasmaShadow()),
     "symmetries": lambda: (A.D4(), A.RandomRotation(10.0)),

@@ -14,7 +14,7 @@ from kvision.augmentation import labels
 from kvision.augmentation.engine.label_settings import LabelSettings, MaskReading
 from kvision.augmentation.engine.stages import INSIDE, ByMatrix, Nested, Stage, Warp
 from kvision.augmentation.labels import is_within
-from kvision.augmentation.maps import exact, exact_each, warp_each
+from kvision.augmentation.maps import exact, exact_each, warp_each, warp_to_sizes
 from kvision.augmentation.preimages_list import NodeReading, displaced
 from kvision.core.exceptions import ShapeError
 
@@ -168,11 +168,12 @@ class ListWarp(Warp):
         return warp_each(exact_each(masks), self.matrix, list(self.size), resampling)[0].to(masks[0].dtype)
 
     def move_masks_back(self, masks: Tensor) -> Any:
-        back = warp_each(list(exact(masks)), self.matrix, self.sides, self.resampling.for_inverse("nearest"), False)
-        return [m.to(masks.dtype) for m in _as_list(back)]
+        resampling = self.resampling.for_inverse("nearest")
+        back = warp_to_sizes(list(exact(masks)), self.matrix, self.sides, resampling, False)
+        return [m.to(masks.dtype) for m in back]
 
     def invert(self, x: Tensor) -> Any:
-        return _as_list(warp_each(list(x), self.matrix, self.sides, self.resampling.for_inverse(), False))
+        return warp_to_sizes(list(x), self.matrix, self.sides, self.resampling.for_inverse(), False)
 
     def move_mask_list(self, op: str, masks: Any, reading: MaskReading) -> list[Tensor]:
         """Masks (N, H, W) or (H, W) of each image, moved: (N, h, w) of each."""
@@ -197,7 +198,3 @@ class ListWarp(Warp):
         samples = torch.arange(count, device="cpu").repeat_interleave(torch.tensor(counts, device="cpu"))
         of_planes = replace(self, matrix=self.matrix[samples.to(self.matrix.device)])
         return list(of_planes.move_masks(planes, reading)[:, 0].split(counts))
-
-
-def _as_list(results: Sequence[Tensor]) -> list[Tensor]:
-    return list(results[0]) if results[0].dim() == 4 else list(results)

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from kvision._dtype import as_dtype, compute_dtype
 from kvision.augmentation import labels
-from kvision.augmentation.maps import as_type_of_each, exact_each, warp_each
+from kvision.augmentation.maps import as_type_of_each, exact_each, warp_to_sizes
 from kvision.augmentation.sample_rows import index_of
 from kvision.core.exceptions import ShapeError
 from kvision.geometry.transform.lists.arguments import sizes
@@ -66,8 +66,7 @@ def warped_masks(masks: list[Tensor], matrix: Tensor, size: Sequence[int], resam
     first = masks[0]
     is_bits = first.dtype == torch.bool and resampling.mode == "nearest" and resampling.fill is None
     values = [m.view(torch.uint8) for m in masks] if is_bits else exact_each(masks)
-    moved = warp_each(values, matrix, size, resampling)
-    moved = [moved[0][0]] if moved[0].dim() == 4 else moved  # of a list of one image
+    moved = warp_to_sizes(values, matrix, size, resampling)
     return [m.view(torch.bool) for m in moved] if is_bits else as_type_of_each(moved, first.dtype)
 
 

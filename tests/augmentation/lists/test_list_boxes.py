@@ -33,6 +33,12 @@ AUGMENTATIONS = {
         A.OpticalDistortion(p=0.7),
         A.RandomAffine(20.0),
     ],
+    "map and a crop by boxes": lambda: [
+        A.RandomThinPlateSpline(0.1, p=0.7),
+        A.RandomSizedBBoxSafeCrop(24, 28),
+        A.OpticalDistortion(p=0.7),
+    ],
+    "map and a crop by masks": lambda: [A.OpticalDistortion(p=0.7), A.CropNonEmptyMaskIfExists(16, 20)],
     "maps between filters": lambda: [
         A.RandomApply(
             [A.RandomThinPlateSpline(0.1, p=0.7), A.AugmentationSequential(A.Transpose(), min_box_area=60.0)]
@@ -101,7 +107,7 @@ AUGMENTATIONS = {
         A.RandomVerticalFlip(),
     ],
 }
-TOGETHER = [name for name in AUGMENTATIONS if name != "crop by masks"]
+TOGETHER = [name for name in AUGMENTATIONS if "by masks" not in name]
 MAPS = [name for name in AUGMENTATIONS if "map" in name]  # of which rounding differs
 FILTERS = {
     "all boxes": {},
@@ -227,7 +233,9 @@ def test_labels_of_another_number_are_refused():
 
 
 @pytest.mark.tracing
-@pytest.mark.parametrize("name", ["affine", "map", "crop of a window", "pad", "crop by boxes of all", "crop by masks"])
+@pytest.mark.parametrize(
+    "name", ["affine", "map and a crop by boxes", "crop of a window", "pad", "crop by boxes of all", "crop by masks"]
+)
 def test_graphs_have_masks_boxes_and_points(name):
     torch._dynamo.reset()  # there are as many graphs of containers as it keeps
     augment = A.AugmentationSequential(*AUGMENTATIONS[name](), data_keys=["input", "mask", "bbox_xyxy", "keypoints"])

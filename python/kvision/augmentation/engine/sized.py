@@ -319,6 +319,8 @@ def _follows(kind: str | None, module: Any) -> bool:
     """Whether labels of a kind that an augmentation reads follow one before it by what is known of all images together."""
     if kind is None or module._leaves_labels or (kind == "boxes" and module.keeps_positions):
         return True
+    if module.moves_by_map:
+        return bool(module._knows_maps_of_lists) and not module._is_overridden("apply_transform_mask")
     chain = getattr(module, "matrix_transforms", None)
     if chain is None or chain((1, 3, *SIZES[0]), module.flags) is None or module._is_overridden("apply_transform_mask"):
         return False

@@ -40,12 +40,6 @@ def grows(augment, images):
     return calls(augment, images, seed=0) > calls(augment, images[:3], seed=0)
 
 
-# The same of backward passes: what takes a call, or a launch of torch's operators, for each image.
-BACKWARD_BY_SIZE = {
-    "an antialiased warp": {"RandomZoomOut"},
-}
-
-
 class Launches(Calls):
     """Counts kvision's operators, and those of torch that are no views."""
 
@@ -81,10 +75,9 @@ def backward_launches(augment, images):
 def test_launches_of_gradients_do_not_depend_on_the_number_of_images(case, backend):
     if backend == "reference":
         pytest.skip("this test is about the kernels")
-    is_by_size = any(case.name in names for names in BACKWARD_BY_SIZE.values())
     augment, images = case.make(p=1.0), pictures("cpu", SIZES)
     backward_launches(augment, images[:3])  # which makes constants
-    assert (backward_launches(augment, images) > backward_launches(augment, images[:3])) == is_by_size
+    assert backward_launches(augment, images) <= backward_launches(augment, images[:3])
 
 
 DTYPES = pytest.mark.parametrize("dtype", [torch.float32, torch.uint8], ids=str)

@@ -7,6 +7,7 @@ from augmentation.container.test_list_launches import Calls, Launches
 from augmentation.test_lists import pictures, seeds_of
 from benchmarks.sample_calls.augmentations import IMAGES
 from kvision import augmentation as A
+from kvision.core.exceptions import ShapeError
 
 
 class _Shares(A.random_generator.RandomGeneratorBase):
@@ -206,3 +207,20 @@ def test_gradients_pass_through_replays(device):
             del own["forward_input_shape"]
             expected = torch.autograd.grad(alone(x[None], params=own).square().sum(), x)[0]
             assert torch.allclose(grads[b], expected, atol=1e-4), name
+
+
+@pytest.mark.parametrize(
+    "name", ["RandomGaussianNoise", "RandomFog", "GlassBlur", "elastic by sides", "holes of noise"]
+)
+def test_maps_of_pixels_are_not_replayed_on_other_sizes(name, device):
+    images = pictures(device, [(26 + i, 40 - i) for i in range(3)])
+    larger = [torch.nn.functional.pad(x, (0, 1, 0, 2)) for x in images]
+    for batch, other in ((images, larger), (torch.stack(images[:1]), torch.stack(larger[:1]))):
+        augment = REPLAYED[name](1.0)
+        augment(batch)
+        with pytest.raises(ShapeError, match=f"{type(augment).__name__}: expected params of images of size"):
+            augment(other, params=augment._params)
+        augment = A.ImageSequential(A.RandomVerticalFlip(), augment)
+        augment(batch)
+        with pytest.raises(ShapeError, match="expected params of images of size"):
+            augment(other, params=augment._params)

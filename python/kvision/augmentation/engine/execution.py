@@ -8,6 +8,7 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from torch.compiler import is_compiling
 
 from kvision._dtype import compute_dtype
 from kvision.augmentation.columns import Columns
@@ -24,6 +25,22 @@ def check_batch_of_params(op: str, count: int, batch: int) -> None:
     """Raise ShapeError unless parameters of `count` images replay on `batch` of them."""
     if count != batch:
         raise ShapeError(f"{op}: expected params of a batch of {batch}, got those of {count} images")
+
+
+def check_maps_of_params(op: str, params: Params, sides: Sequence[int]) -> None:
+    """Raise ShapeError where maps of pixels replay on images of another size: height and width of each image, or of all."""
+    drawn = params.get("forward_input_shape")
+    maps = [x for x in params.values() if isinstance(x, list) or (isinstance(x, Tensor) and x.dim() > 3)]
+    if not maps or drawn is None or drawn.is_cuda or is_compiling():
+        return
+    each = list(zip(sides[::2], sides[1::2]))
+    before = [tuple(shape[-2:]) for shape in drawn.reshape(-1, drawn.shape[-1]).tolist()]
+    count = max(len(each), len(before))
+    for own in maps:
+        sizes = [tuple(x.shape[-2:]) for x in own] if isinstance(own, list) else [tuple(own.shape[-2:])] * count
+        for size, old, new in zip(sizes, before * (count // len(before)), each * (count // len(each))):
+            if size == old != new:  # others are not of pixels
+                raise ShapeError(f"{op}: expected params of images of size {new}, got those of images of size {old}")
 
 
 def check_images(op: str, shape: Shape, axes: int = 4) -> None:

@@ -24,7 +24,7 @@ from kvision.augmentation.columns import Columns
 from kvision.augmentation.draws import are_chosen_batches
 from kvision.augmentation.engine.call_context import CallContext
 from kvision.augmentation.engine.drawing import decides, may_apply
-from kvision.augmentation.engine.execution import Execution, ListExecution, Params
+from kvision.augmentation.engine.execution import Execution, ListExecution, Params, check_maps_of_params
 from kvision.augmentation.engine.list_calls import refuse_list, seeds_of_list
 from kvision.augmentation.engine.list_moves import LabelStep, label_steps, moves_of_run
 from kvision.augmentation.engine.list_plans import (
@@ -390,6 +390,10 @@ class ListReplay:
         shape = (len(images), images[0].shape[0], *SIZES[0])
         executions, columns = replayed(like.new_empty(1).expand(shape), children)
         of_list = ImagesOfList(plan.sized, sides_of(images))
+        for number, (child, execution) in enumerate(zip(children, executions)):
+            has_one_size = number > plan.sized.own
+            own = execution.shape[2:] if has_one_size else plan.sized.sides_after(range(number), of_list.sides)
+            check_maps_of_params(type(child.module).__name__, child.params, own)
         if columns is not None:
             columns = columns_of_sizes(plan.sized, children, executions, columns, of_list.sides)
             for execution in executions:

@@ -29,7 +29,7 @@ from kvision.augmentation.drawn_pass import DrawnPass
 from kvision.augmentation.engine.call_context import CallContext
 from kvision.augmentation.engine.configuration import Plans
 from kvision.augmentation.engine.declaration import size_of
-from kvision.augmentation.engine.execution import Execution
+from kvision.augmentation.engine.execution import Execution, check_maps_of_params
 from kvision.augmentation.engine.executor import Executor, decides
 from kvision.augmentation.engine.passes import Alone, Joined, Running, Step, plan_steps
 from kvision.augmentation.engine.record import Child
@@ -160,6 +160,8 @@ def _execute_run(
     links: Sequence[Tensor] | None = None
     if run[0].params is not None:
         executions, columns = replayed(x, run)
+        for child, execution in zip(run, executions):
+            check_maps_of_params(type(child.module).__name__, child.params, execution.shape[-2:])
         steps: Sequence[Step] = plan_steps(modules, executions, context.once, x.dtype, context.output)
     else:
         keys = None

@@ -14,7 +14,7 @@ import kvision.augmentation as A
 from drawn_tests import assert_equal_params, has_kernels, random_images, record_kernel
 from kvision import _backend
 from kvision.augmentation import drawn_links
-from kvision.augmentation.engine.stages import Composed
+from kvision.augmentation.engine.stages import Resampled
 from op_tests import assert_close
 
 
@@ -59,7 +59,7 @@ def test_kernel_equals_separate_operators(name, dtype, seed, device, backend, ke
         augment = sequence(name)
         augment(x, x, seed=seed)
         outputs = augment(x, x, seed=seed)  # finds its plan
-        assert isinstance(augment._record.stages[0], Composed)
+        assert isinstance(augment._record.stages[0], Resampled)
         results.append((*outputs, augment.transform_matrix, augment._params, torch.get_rng_state()))
     assert len(calls) == (2 if has_kernels(device, backend) else 0)
     (y, mask, matrix, params, state), (fused, fused_mask, fused_matrix, fused_params, fused_state) = results

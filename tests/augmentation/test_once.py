@@ -273,7 +273,7 @@ def test_antialiased_where_it_shrinks(device: torch.device) -> None:
         chain = A.Resize((40, 40), antialias=antialias, align_corners=False), A.RandomRotation((30.0, 30.0), p=1.0)
         augment = A.ImageSequential(*chain, resample="once")
         y = augment(noise)
-        assert isinstance(augment._record.stages[0], Composed) == antialias
+        assert len(augment._record.stages.stages) == 1
         return y[..., 12:28, 12:28]
 
     apart = A.ImageSequential(

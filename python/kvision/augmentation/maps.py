@@ -93,8 +93,6 @@ def read_composed(
     """Resample images (B, C, H, W) by a chain of links, the first one first; `antialias` as in `read`."""
     if not antialias:
         return _read_composed(x, links, size, resampling, fill_of_images(x, resampling.fill))
-    if len(links) == 1 and links[0].dim() == 3:
-        return warp_covered(x, links[0], size, resampling)
     coordinates = composed_coords(*link_arguments(links, size), list(size)).movedim(1, -1)
     return read(x, coordinates, resampling, antialias)
 

@@ -20,7 +20,7 @@ from kvision.augmentation.engine.lists import (
     WarpOfList,
     with_sides,
 )
-from kvision.augmentation.engine.passes import Joined
+from kvision.augmentation.engine.passes import Alone
 from kvision.augmentation.engine.sized import SIZES, ImagesOfList
 from kvision.augmentation.engine.stages import Stage
 from kvision.augmentation.sample_rows import index_of
@@ -62,18 +62,18 @@ def label_steps(
     """
     columns = as_dtype(like.new_empty(len(like), 0) if columns is None else columns, compute_dtype(like))
     sides, own = list(of_list.sides), of_list.sized.own
-    step_of = {n: s for s in steps for n in (s.geometric if isinstance(s, Joined) else [s.number])}
+    step_of = {n: s for s in steps for n in ([s.number] if isinstance(s, Alone) else s.geometric)}
     found: list[LabelStep] = []
     for number, (module, (applies, shape)) in enumerate(zip(modules, calls)):
         step, resampling = step_of.get(number), None
         numbers: Sequence[int] = [number]
-        if isinstance(step, Joined):
+        if step is not None and not isinstance(step, Alone):
             numbers, resampling = step.geometric, step.resampling if len(step.geometric) > 1 else None
         if step is None or not applies or numbers[0] != number:
             continue
         after = sides
         if numbers[-1] >= own and not module.keeps_positions:
-            size = step.size if isinstance(step, Joined) else module.output_shape(shape, module.flags)[2:]
+            size = module.output_shape(shape, module.flags)[2:] if isinstance(step, Alone) else step.size
             after = [*size] * len(like)
         elif of_list.sized.changes(numbers):
             after = of_list.sized.sides_after(numbers, sides)

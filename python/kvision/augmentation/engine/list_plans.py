@@ -23,7 +23,7 @@ from kvision.augmentation.draws import HEADER, MAX_DRAWS, MAX_NUMBERS, SIZED, Dr
 from kvision.augmentation.engine.call_context import CallContext
 from kvision.augmentation.engine.execution import Execution, Params
 from kvision.augmentation.engine.parts import params_of_rows
-from kvision.augmentation.engine.passes import Alone, Joined, Step
+from kvision.augmentation.engine.passes import Alone, Covering, Joined, Step
 from kvision.augmentation.engine.record import Child
 from kvision.augmentation.engine.run_plans import RunPlan, plan_run
 from kvision.augmentation.engine.sized import (
@@ -156,8 +156,7 @@ def _make_plan(
     has_inputs = (
         begins_with_batch
         or any(  # others read sizes themselves
-            isinstance(s, Joined) or (isinstance(s, Alone) and modules[s.number].warps_lists_by_matrix)
-            for s in run.steps[:steps]
+            not isinstance(s, Alone) or modules[s.number].warps_lists_by_matrix for s in run.steps[:steps]
         )
     )
     numbers = sized.numbers(has_inputs=has_inputs)
@@ -225,7 +224,7 @@ def _draws_windows(sized: Sized) -> bool:
 def takes_list(step: Step, modules: Sequence[Any], dtype: torch.dtype) -> bool:
     """Whether a step, of those of a run on images of a type, is one operator on the images of a list."""
     if not isinstance(step, Alone):
-        return isinstance(step, Joined)
+        return isinstance(step, (Joined, Covering))
     for module in modules[: step.number]:
         dtype = module._result_dtype(dtype)
     takes: bool = modules[step.number]._operates_on(dtype)

@@ -1,8 +1,8 @@
 """Plans of neighboring augmentations: which of them share a pass over the images.
 
 The planner knows no class. It asks each augmentation for its contribution (contribution.py), and lets neighbors wait
-until the next one cannot join them. Three kinds of steps come out of it: passes, resamplings at composed coordinates, and
-augmentations that run by themselves.
+until the next one cannot join them. Four kinds of steps come out of it: passes, antialiased warps, resamplings at composed
+coordinates, and augmentations that run by themselves.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from kvision.augmentation.engine.executor import Executor
 from kvision.augmentation.engine.lists import ListWarp
 from kvision.augmentation.engine.sized import ImagesOfList, Sized
 from kvision.augmentation.engine.stages import Applied, ByMatrix, Composed, Stage, Warp
+from kvision.augmentation.maps import warp_covered, warp_covered_each
 from kvision.augmentation.samples import where_chosen
 from kvision.augmentation.transforms import MAX_TRANSFORMS, MatrixPlan, Transform, keeps_rows, transform_matrix
 from kvision.augmentation.warp_and_color import SAME, ColorPart, Output, Pass, Resampling, fits_one_program, make_pass
@@ -62,6 +63,11 @@ class Running:
         """An augmentation by itself, by its number in the run."""
         return Applied(self.modules[number], self.executions[number], self.modules[number].flags)
 
+    def columns_for(self, like: Tensor, count: int) -> Tensor:
+        """The columns of `count` images in the type in which images like a tensor are computed."""
+        dtype = compute_dtype(like)
+        return like.new_empty(count, 0, dtype=dtype) if self.columns is None else as_dtype(self.columns, dtype)
+
     @property
     def begins_with_batch(self) -> bool:
         """Whether the first augmentation makes a list a batch."""
@@ -90,9 +96,7 @@ class Alone(NamedTuple):
         """The same of a list, which stays one or becomes a batch."""
         module, execution = running.modules[self.number], running.executions[self.number]
         if module.warps_lists_by_matrix or running.begins_with_batch:
-            columns, dtype = running.columns, compute_dtype(images[0])
-            columns = images[0].new_empty(len(images), 0, dtype=dtype) if columns is None else as_dtype(columns, dtype)
-            execution.matrix = transform_matrix(columns, self.chain)
+            execution.matrix = transform_matrix(running.columns_for(images[0], len(images)), self.chain)
         y = module._run_list(images, execution)
         if not running.begins_with_batch:
             return y, None
@@ -146,12 +150,10 @@ class Joined(NamedTuple):
 
     def replayed(self, like: Tensor, running: Running) -> Stage | None:
         """The stage of images that were moved already, like a batch of their type and device."""
-        columns = running.columns
         if not self.geometric:
             return None
-        dtype = compute_dtype(like)
-        columns = like.new_empty(running.executions[0].shape[0], 0, dtype=dtype) if columns is None else columns
-        return self.stage(like, transform_matrix(as_dtype(columns, dtype), self.chain), running)
+        columns = running.columns_for(like, running.executions[0].shape[0])
+        return self.stage(like, transform_matrix(columns, self.chain), running)
 
     def stage(self, x: Tensor, matrix: Tensor | None, running: Running) -> Stage | None:
         """What labels have to follow, by the matrices of the warp of images like x; None for colors."""
@@ -173,8 +175,43 @@ class Joined(NamedTuple):
         return DrawnPass(draws, self.image_pass, tuple(x.shape), x.dtype)
 
 
+class Covering(NamedTuple):
+    """Augmentations that are executed by one warp, which averages what a pixel of the result covers."""
+
+    geometric: Sequence[int]  # the augmentations, by their numbers in the run
+    chain: Sequence[Transform]
+    plan: MatrixPlan  # of the chain
+    source: tuple[int, int]
+    size: tuple[int, int]
+    resampling: Resampling
+
+    def run(self, x: Any, running: Running) -> tuple[Any, Stage | None]:
+        links, running.links = running.links, None
+        like = x[0] if isinstance(x, list) else x
+        matrix = links[0] if links else self.plan.matrix(running.columns_for(like, len(x)))
+        if running.of_list is None or not isinstance(x, list):
+            return warp_covered(x, matrix, self.size, self.resampling), self._stage(matrix, running)
+        sized = running.of_list.sized
+        if sized.own in self.geometric:
+            (y,) = warp_covered_each(x, matrix, self.size, self.resampling)
+            return y, running.warp_of_list(self.geometric, matrix, self.size, self.resampling)
+        results = warp_covered_each(x, matrix, sized.sizes_after(self.geometric, x), self.resampling)
+        return list(results[0] if results[0].dim() == 4 else results), None
+
+    def replayed(self, like: Tensor, running: Running) -> Stage:
+        """As that of :class:`Joined`."""
+        return self._stage(self.plan.matrix(running.columns_for(like, running.executions[0].shape[0])), running)
+
+    def _stage(self, matrix: Tensor, running: Running) -> Warp:
+        return Warp(matrix, self.source, self.size, self.resampling, parts=running.parts(self.geometric))
+
+    def drawn_with(self, draws: DrawPlan, x: Tensor, noise_field: NoiseFields) -> DrawnLinks:
+        """The draws with the matrix by one kernel."""
+        return DrawnLinks(draws, [self.plan])
+
+
 class Composition(NamedTuple):
-    """Augmentations that are executed by one resampling, some of which have no matrix or blur what becomes smaller."""
+    """Augmentations that are executed by one resampling, some of which have no matrix."""
 
     # Chains of matrices, and augmentations that are maps, by their numbers in the run.
     links: Sequence[MatrixPlan | int]
@@ -185,9 +222,7 @@ class Composition(NamedTuple):
     antialias: bool
 
     def run(self, x: Tensor, running: Running) -> tuple[Tensor, Stage | None]:
-        dtype = compute_dtype(x) if x.is_floating_point() else torch.float32
-        columns = running.columns
-        columns = x.new_empty(x.shape[0], 0, dtype=dtype) if columns is None else as_dtype(columns, dtype)
+        columns = running.columns_for(x, x.shape[0])
         drawn = None if running.links is None else list(running.links)
         running.links = None
         links: list[ByMatrix | Applied] = []
@@ -209,7 +244,7 @@ class Composition(NamedTuple):
         return DrawnLinks(draws, served) if len(served) == len(each) else None
 
 
-Step = Joined | Composition | Alone
+Step = Joined | Covering | Composition | Alone
 
 
 # --- the planner ----------------------------------------------------------------------------------------------------
@@ -343,6 +378,11 @@ class _Planner:
         self.steps.append(Joined(image_pass, [g.number for g in geometric], chain, source, size, resampling))
 
     def _compose(self, geometric: Sequence[_Geometric]) -> None:
+        numbers, sampling = [g.number for g in geometric], _sizes_and_resampling(geometric)
+        if not any(g.motion.is_map for g in geometric):
+            matrices = _chain(geometric)
+            self.steps.append(Covering(numbers, matrices, MatrixPlan(matrices), *sampling))
+            return
         links: list[MatrixPlan | int] = []
         chain: list[Transform] = []
         for g in geometric:
@@ -353,8 +393,7 @@ class _Planner:
                 chain = []
         links += [MatrixPlan(chain)] if chain else []
         antialias = any(g.motion.is_antialiased for g in geometric)
-        numbers = [g.number for g in geometric]
-        self.steps.append(Composition(links, numbers, *_sizes_and_resampling(geometric), antialias))
+        self.steps.append(Composition(links, numbers, *sampling, antialias))
 
     def finish(self, output: Output) -> list[Step]:
         self._flush(output)

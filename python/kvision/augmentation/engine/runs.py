@@ -11,9 +11,9 @@ and what is left runs by itself.
 
 What is computed is what the augmentations compute one after the other, up to rounding. Bytes are rounded behind each geometric
 augmentation, behind each that runs by itself, and once behind neighboring color steps. With `resample="once"` all neighboring
-geometric augmentations are resampled once: as a warp by the product of their matrices, or, with maps or antialiasing among them, at
-the coordinates that they compose to. Which passes there are follows from the settings and the sizes of the images, so that it is
-decided once for them.
+geometric augmentations are resampled once: as a warp by the product of their matrices, antialiased if one of them is, or, with maps
+among them, at the coordinates that they compose to. Which passes there are follows from the settings and the sizes of the images,
+so that it is decided once for them.
 """
 
 from __future__ import annotations

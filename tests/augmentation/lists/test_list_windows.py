@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from augmentation.container.test_list_launches import calls
+from augmentation.container.test_list_launches import Launches, calls
 from augmentation.test_lists import SMALL, assert_as_alone, assert_same, comparison, pictures, seeds_of
 from kvision import augmentation as A
 from kvision.augmentation.engine.list_runs import ListParts
@@ -145,3 +145,25 @@ def test_calls_of_operators(name, backend):
     images = pictures("cpu", [(24 + i % 17, 45 - i % 19) for i in range(40)])
     augment = A.ImageSequential(A.RandomInvert(), WINDOWS[name](), A.ColorJitter(0.2, 0.2))
     assert calls(augment, images, seed=seeds_of(images)) <= 4
+
+
+@pytest.mark.parametrize("options", [{}, {"ignore_values": [2], "ignore_channels": [0]}], ids=["all", "some"])
+@pytest.mark.parametrize("numbers", [(1,), (2, 0, 1)], ids=str)
+def test_windows_by_masks_take_as_many_launches_for_more_images(numbers, options, device, backend):
+    crop = A.CropNonEmptyMaskIfExists(12, 14, **options)
+    augment = A.AugmentationSequential(A.RandomAffine(20.0), crop, data_keys=["input", "mask", "mask"])
+    counts = []
+    for number in (3, 3, 9):  # the first call makes constants
+        images = pictures(device, [(20 + 3 * (i % 4), 24 + 5 * (i % 3)) for i in range(number)])
+        objects = [
+            (torch.rand(numbers[i % len(numbers)], *x.shape[1:], device=device) > 0.99).long()
+            for i, x in enumerate(images)
+        ]
+        marks = [2.0 * (torch.rand(1, *x.shape[1:], device=device) > 0.99) for x in images]
+        with Launches() as launches:
+            results = augment(images, objects, marks, seed=seeds_of(images))
+        counts.append(launches.count)
+    assert counts[1] == counts[2] or backend == "reference"
+    for b, x in enumerate(images):
+        alone = augment(x[None], objects[b][None], marks[b][None], seed=seeds_of(images)[b : b + 1])
+        assert all(torch.equal(of_list[b], own[0]) for of_list, own in zip(results, alone, strict=True))

@@ -10,7 +10,9 @@ from torch import Tensor
 
 from kvision import _check
 from kvision.augmentation.crops.window_crop import WindowCrop
+from kvision.augmentation.maps import as_batch
 from kvision.augmentation.random_generator.windows import WindowGenerator, pick, up_to
+from kvision.augmentation.sample_rows import index_of
 
 __all__ = ["CropNonEmptyMaskIfExists"]
 
@@ -28,7 +30,9 @@ class _NonEmptyGenerator(WindowGenerator):
         at: list[Tensor] = []
         is_marked = torch.zeros_like(height, dtype=torch.bool)
         if labels is not None:
-            marks = self._marks(labels).to(height.device)  # (B, H, W)
+            of_batch = all(isinstance(masks, Tensor) for masks in labels)
+            marks = self._marks(labels) if of_batch else self._marks_of_list(labels)  # (B, H, W)
+            marks = marks.to(height.device)
             in_row = marks.sum(-1, dtype=torch.int32)
             # Row by row all marked pixels are equally likely: first their rank, then its row and its rank in the row.
             total = in_row.cumsum(1)
@@ -54,13 +58,41 @@ class _NonEmptyGenerator(WindowGenerator):
         """The pixels (B, H, W) that any of the masks (B, C, H, W) marks."""
         marks = []
         for mask in masks:
-            channels = [c for c in range(mask.shape[1]) if c not in self.ignore_channels or mask.shape[1] == 1]
+            channels = self._channels(mask.shape[1])
             own = mask if len(channels) == mask.shape[1] else mask[:, channels]
-            is_marked = own != 0
-            for value in self.ignore_values:
-                is_marked = is_marked & (own != value)
-            marks.append(is_marked.any(1))
+            marks.append(self._is_marked(own).any(1))
         return torch.stack(marks).any(0)
+
+    def _marks_of_list(self, masks: Sequence[Sequence[Tensor]]) -> Tensor:
+        """The same of masks (N, h, w) of each image of a list, with the largest sides."""
+        planes: list[Tensor] = []  # (1, h, w) uint8
+        samples: list[int] = []
+        for of_images in masks:
+            values = torch.cat([mask.flatten() for mask in of_images])
+            marked = self._is_marked(values).view(torch.uint8).split([mask.numel() for mask in of_images])
+            for b, (mask, own) in enumerate(zip(of_images, marked)):
+                each, channels = own.view(mask.shape).split(1), self._channels(len(mask))
+                planes += [each[c] for c in channels]
+                samples += [b] * len(channels)
+        count = len(masks[0])
+        if not planes:
+            return torch.zeros(count, 1, 1, dtype=torch.bool, device=masks[0][0].device)
+        marks = as_batch(planes)[:, 0]
+        if samples != list(range(count)):
+            of_samples = marks.new_zeros(count, *marks.shape[1:], dtype=torch.int32)
+            marks = of_samples.index_add(0, index_of(samples, marks), marks.int())
+        return marks > 0
+
+    def _channels(self, count: int) -> list[int]:
+        """Those of `count` channels that mark pixels."""
+        return [c for c in range(count) if c not in self.ignore_channels or count == 1]
+
+    def _is_marked(self, values: Tensor) -> Tensor:
+        """Whether values of masks mark pixels."""
+        is_marked = values != 0
+        for value in self.ignore_values:
+            is_marked = is_marked & (values != value)
+        return is_marked
 
 
 class CropNonEmptyMaskIfExists(WindowCrop):

@@ -36,7 +36,6 @@ from kvision.augmentation.engine.record import Child
 from kvision.augmentation.engine.run_plans import RunPlan, plan_run
 from kvision.augmentation.engine.stages import Applied, Stage
 from kvision.augmentation.keys import Keys, check_seeds
-from kvision.augmentation.labels import masks_as_batch
 from kvision.augmentation.warp_and_color import SAME, frames_pass
 from kvision.color.frames import Frames
 
@@ -261,10 +260,7 @@ def with_derived(
                 labels = labels.to(columns.device) if isinstance(labels, Tensor) else labels
             drawn = Columns(columns, call.derived_from)
             sizes = size_of(execution.shape, columns) if of_list is None else of_list.sizes_before(number)
-            if of_list is not None and isinstance(labels, list):
-                execution.columns = _derived_of_each(module, drawn, sizes, labels)
-            else:
-                execution.columns = module._derived(drawn, sizes, labels, context.frames)
+            execution.columns = module._derived(drawn, sizes, labels, context.frames)
             execution.redraw = None  # the host does not know the labels
             parts.append(execution.columns.drawn)
         if execution.applied or module.mixes_samples:
@@ -274,12 +270,3 @@ def with_derived(
         if call.derived_from is not None and call.span is not None:
             execution.columns = Columns(columns, call.span)
     return columns
-
-
-def _derived_of_each(module: Executor, drawn: Columns, sizes: Tensor, masks: Sequence[Any]) -> Columns:
-    """The columns that an augmentation derives from the masks of each image of a list, (N, H, W) of each input."""
-    each = []
-    for b, size in enumerate(sizes.split(1)):
-        own = [masks_as_batch(x[None] if x.dim() == 3 else x) for x in (of_input[b] for of_input in masks)]
-        each.append(module._derived(drawn._replace(drawn=drawn.drawn[b : b + 1]), size, own))
-    return each[0]._replace(drawn=torch.cat([columns.drawn for columns in each]))

@@ -81,8 +81,8 @@ class RandomGeneratorBase(nn.Module):
         Args:
             drawn: what `draws` gives.
             sizes: height and width of the images, (B, 2), or (1, 2) for all.
-            labels: boxes (B, N, 4) by their edges, 0 for none, or a list of masks (B, C, H, W), as the augmentation says; None if
-                there are none.
+            labels: boxes (B, N, 4) by their edges, 0 for none, or a list of masks (B, C, H, W), or of lists of (N, H, W) of each
+                image, as the augmentation says; None if there are none.
 
         Returns:
             The columns.

@@ -45,7 +45,7 @@ int launch(ResizeWindowsList<T>& p, CUstream_st* stream) {
     warps += p.channels / N * ceil_div(p.list.results[b].width, 32);
     height = max(height, int64_t(p.list.results[b].height));
   }
-  int const rows = rows_of_columns(warps, height, resident);
+  int const rows = rows_of_columns<T>(warps, height, resident);
   for (int b = 0; b < p.list.count; ++b) {
     p.list.first[b] = int(blocks);
     blocks += ColumnStrips::of(resize_at(p, b).y, rows).blocks(p.channels, N);

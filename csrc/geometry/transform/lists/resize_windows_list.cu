@@ -109,6 +109,7 @@ template <class T>
 int resize_windows_list(ResizeWindowsList<T> const& params, CUstream_st* stream) {
   ResizeWindowsList<T> p = params;
   if constexpr (sizeof(T) <= 2)
+    // Special case, H200: 1.3 (float16, by 0.6 to 0.95) to 1.9 (bytes, photographs to 224x224) times as fast as strips.
     if (int const error = resize_columns_list(p, stream); error != cudaSuccess || p.list.count == 0) return error;
   if constexpr (sizeof(T) < 8) {
     if (int const error = resize_strips_list(p, stream); error != kUnsupported) return error;

@@ -190,6 +190,8 @@ int resize(Resize<T> const& p, CUstream_st* stream) {
     if constexpr (sizeof(T) > 1)
       if (int const error = resize_linear_backward(p, stream); error != kUnsupported) return error;
     if constexpr (sizeof(T) <= 2)
+      // Special case, H200: 1.04 (float16, 500x500 to 450x450) to 2.4 (bytes, 375x500 to 131x175) times as fast as
+      // strips.
       if (int const error = resize_columns(p, stream); error != kUnsupported) return error;
     // Special case, H200: 1.01 (extract_patches backward) to 6.8 (resize 0.07 aa backward) times as fast as tiles.
     if (int const error = resize_strips(p, stream); error != kUnsupported) return error;

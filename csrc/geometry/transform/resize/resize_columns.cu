@@ -15,7 +15,7 @@ int launch(Resize<T> const& p, CUstream_st* stream) {
   auto* const kernel = resize_columns<T, N>;
   static int const resident = resident_blocks(kernel, kColumnThreads);
   int64_t const warps = p.y.count() / N * ceil_div(p.y.width, int64_t(32));
-  auto const strips = ColumnStrips::of(p.y, rows_of_columns(warps, p.y.height, resident));
+  auto const strips = ColumnStrips::of(p.y, rows_of_columns<T>(warps, p.y.height, resident));
   kernel<<<strips.blocks(p.y.count(), N), kColumnThreads, 0, stream>>>(p, strips);
   return cudaGetLastError();
 }

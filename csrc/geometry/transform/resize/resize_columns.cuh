@@ -16,10 +16,15 @@
 namespace kv::geometry::cuda {
 namespace {
 
-constexpr int kColumnThreads = 128, kMostRows = 32;  // of a block, of a strip
-// Blocks that run at once: half types hold two rows of words in registers for each of three planes.
+constexpr int kColumnThreads = 128;
+// Rows of a strip at most, rows of the source in flight, and blocks that run at once at least. Half types hold more
+// words of a row in registers.
 template <class T>
-constexpr int kColumnBlocks = sizeof(T) == 1 ? 5 : 4;
+constexpr int kMostRows = sizeof(T) == 1 ? 64 : 32;
+template <class T>
+constexpr int kRowsAhead = sizeof(T) == 1 ? 4 : 3;
+template <class T>
+constexpr int kColumnBlocks = sizeof(T) == 1 ? 5 : 3;
 constexpr int kMostTaps = 8, kFewTaps = 5;  // along an axis, and those of images that shrink to about a half
 
 // Columns of a lane's warp beside each other, and strips of rows below each other.
@@ -64,9 +69,10 @@ struct ColumnWindow {
   }
 };
 
+template <int MostRows>
 struct SourceRows {
-  ColumnWindow windows[kMostRows];
-  SourceRow rows[(kMostRows + 2) * kMostTaps / 2 + 1];
+  ColumnWindow windows[MostRows];
+  SourceRow rows[(MostRows + 2) * kMostTaps / 2 + 1];
   int begin, end;
 
   // Those of `count` rows of the result from y0 on, by all threads. Weights are multiples of `unit`.
@@ -89,12 +95,12 @@ struct SourceRows {
 
 // Column x of N planes, from row y0 of the result on. K: taps, some of weight 0.
 template <class T, int N, int K>
-__device__ __forceinline__ void resize_column(Resize<T> const& p, SourceRows const& source, int64_t plane, int x,
-                                              int y0) {
+__device__ __forceinline__ void resize_column(Resize<T> const& p, SourceRows<kMostRows<T>> const& source, int64_t plane,
+                                              int x, int y0) {
   // Bytes are weighted along x as integers, two pixels and two weights at a time: their rows are units of 2^-15.
   constexpr bool kByInteger = sizeof(T) == 1;
   constexpr int kWords = (K + 2 * (kPerWord<T> - 1)) / kPerWord<T>, kPacked = ceil_div(K, kPerWord<T>);
-  constexpr int kPairs = (K + 1) / 2, kAhead = kByInteger ? 4 : 2;  // rows in flight
+  constexpr int kPairs = (K + 1) / 2, kAhead = kRowsAhead<T>;
   int const width = int(p.y.width), column = min(x, width - 1);
   auto const window = ColumnWindow::of(p.columns, column);
   float weights[2 * kPairs];
@@ -230,7 +236,7 @@ __device__ __forceinline__ void resize_column(Resize<T> const& p, SourceRows con
 // The columns of block number `block`.
 template <class T, int N>
 __device__ __forceinline__ void resize_columns_of(Resize<T> const& p, ColumnStrips const& strips, unsigned block) {
-  __shared__ SourceRows source;
+  __shared__ SourceRows<kMostRows<T>> source;
   unsigned const q = block / strips.down;  // adjacent blocks are below each other
   int const y0 = int(block - q * strips.down) * strips.rows;
   source.init(p.rows, y0, min(strips.rows, int(p.y.height) - y0), sizeof(T) == 1 ? 0x1p-15f : 1.f);
@@ -254,9 +260,10 @@ bool serves_columns(Resize<T> const& p) {
 }
 
 // The rows of strips for so many warps side by side.
-inline int rows_of_columns(int64_t warps, int64_t height, int resident) {
+template <class T>
+int rows_of_columns(int64_t warps, int64_t height, int resident) {
   int64_t const most = resident * int64_t(kColumnThreads / 32);
-  return strip_height(warps, height, 6, most, most, min(height, int64_t(8)), kMostRows);
+  return strip_height(warps, height, 6, most, most, min(height, int64_t(8)), kMostRows<T>);
 }
 
 }  // namespace

@@ -269,17 +269,25 @@ class RandomScale(GeometricAugmentationBase2D):
         return not self._is_customized()
 
     def _run_list(self, images: Sequence[Tensor], execution: Execution) -> list[Tensor]:
+        if self.flags["antialias"]:
+            of_all = self._scaled_sides(sizes(images), execution)[1].flatten().tolist()
+            return _antialiased_list(images, of_all, True, self.flags)
+        matrices, of_all = self._motion_of_list(sizes(images), execution, like_batch(images))
+        return warp_to_sizes(list(images), matrices, of_all, self.resampling(self.flags))
+
+    def _motion_of_list(self, sides: Sequence[int], execution: Execution, like: Tensor) -> tuple[Tensor, list[int]]:
+        """Matrices (B, 3, 3) for height and width of each image, and those of results, like a tensor."""
+        before, scaled = self._scaled_sides(sides, execution)
+        of_each = rows_on_device(torch.cat([before, scaled], 1), like, compute_dtype(like))
+        matrices = transform_matrix(of_each, self._resizing(self.flags, *map(Column, range(4))))
+        return matrices, scaled.flatten().tolist()
+
+    def _scaled_sides(self, sides: Sequence[int], execution: Execution) -> tuple[Tensor, Tensor]:
+        """Height and width (B, 2) of each image, and those of results."""
         given = execution.params
         factors = self._values_on_host(execution)[:, 0] if given is None else given["scale"]
-        sides = torch.tensor(sizes(images), dtype=torch.float64, device="cpu").view(-1, 2)
-        scaled = _scaled(sides, factors[:, None])
-        of_all = scaled.flatten().tolist()
-        if self.flags["antialias"]:
-            return _antialiased_list(images, of_all, True, self.flags)
-        like = like_batch(images)
-        of_each = rows_on_device(torch.cat([sides, scaled], 1), like, compute_dtype(like))
-        matrices = transform_matrix(of_each, self._resizing(self.flags, *map(Column, range(4))))
-        return warp_to_sizes(list(images), matrices, of_all, self.resampling(self.flags))
+        before = torch.tensor(sides, dtype=torch.float64, device="cpu").view(-1, 2)
+        return before, _scaled(before, factors[:, None])
 
     def _run(self, x: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
         if not execution.applied or self._is_customized():
@@ -291,6 +299,10 @@ class RandomScale(GeometricAugmentationBase2D):
         mode: Any = Resample.get(flags["resample"]).name.lower()
         y: Tensor = geometry.resize(x, size, mode, align_corners=flags["align_corners"], antialias=True)
         return y
+
+    @property
+    def _warps_masks(self) -> bool:
+        return type(self).transform_masks is RandomScale.transform_masks
 
     def transform_masks(self, masks: Tensor, execution: Execution, flags: dict[str, Any]) -> Tensor:
         if not execution.applied:

@@ -56,6 +56,7 @@ AUGMENTATIONS = {
         A.RandomRotation(30.0, p=0.7, expand=True, fill=0.5),
         A.OneOf(A.RandomRotation((90.0, 90.0), p=0.7, expand=True), A.RandomHorizontalFlip()),
     ],
+    "scaled": lambda: [A.RandomScale((0.5, 1.5), p=1.0), A.RandomAffine(20.0), A.RandomScale(antialias=False, p=1.0)],
     "erased": lambda: [A.RandomAffine(20.0, p=1.0), A.RandomErasing(p=1.0)],
     "crop": lambda: [A.RandomHorizontalFlip(), A.RandomResizedCrop((12, 14)), A.RandomAffine(20.0)],
     "crop of a window": lambda: [

@@ -247,3 +247,15 @@ def test_graphs_have_masks_boxes_and_points(name):
         compiled(images, masks, boxes, points, seed=3), augment(images, masks, boxes, points, seed=3)
     ):
         assert all(torch.allclose(a.double(), b.double(), atol=1e-4) for a, b in zip(mine, eager))
+
+
+@pytest.mark.tracing
+def test_graphs_clip_boxes_after_each_move():
+    images = pictures("cpu")[:2]
+    boxes = torch.tensor([[[2.0, 3.0, 12.0, 14.0], [2.0, 3.0, 18.0, 16.0]]]).repeat(2, 1, 1)
+    augment = A.AugmentationSequential(
+        A.RandomAffine(20.0, p=1.0), A.RandomHorizontalFlip(), data_keys=["input", "bbox_xyxy"], clip_boxes="each"
+    )
+    expected = augment(images, boxes, seed=3)[1]
+    compiled = torch.compile(augment, fullgraph=True, backend="aot_eager")
+    assert torch.allclose(compiled(images, boxes, seed=3)[1], expected, atol=1e-4)

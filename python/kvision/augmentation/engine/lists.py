@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -39,6 +39,9 @@ class SizeOfEach(Sequence[Tensor]):
             of_axes = torch.tensor(self.sides, dtype=torch.float32, device="cpu").view(-1, 2).T[..., None]
             self._of_axes = on_device(of_axes, self._device)
         return self._of_axes[axis]
+
+    def __iter__(self) -> Iterator[Tensor]:
+        return iter((self[0], self[1]))  # that of sequences ends at an error, which graphs do not catch
 
 
 def with_sides(sides: Sequence[int], samples: Sequence[int], own: Sequence[int]) -> list[int]:

@@ -24,8 +24,11 @@ struct GatherShape {
   F m[4], back[4];     // derivatives of source coordinates by those of the output, and back
   F reach_x, reach_y;  // from the middle of a thread's pixels
   int columns, rows;   // from there on
-  int size;            // of a part of a tile
-  bool gathers;        // whether its output pixels fit
+  // Of an output pixel, at most. Found once: ptxas 13.0 moves bounds that loops of float64 compute in each turn behind
+  // their comparison.
+  int taps_x, taps_y;
+  int size;      // of a part of a tile
+  bool gathers;  // whether its output pixels fit
 
   __device__ __forceinline__ explicit GatherShape(Homography<double> const& map) {
     for (int i = 0; i < 4; ++i) m[i] = F(map.m[i + i / 2]);
@@ -46,8 +49,10 @@ struct GatherShape {
     constexpr F kLess = F(1 - 2e-6);
     gathers = map.affine && vabs(det) > F(1e-4) && max(reach_x, reach_y) < F(kColumns) &&
               f.reach_x < F(kMaxReach - 1) && f.reach_y < F(kMaxReach - 1);
-    columns = rows = size = 0;
+    columns = rows = taps_x = taps_y = size = 0;
     if (!gathers) return;
+    taps_x = -floor_to_int<F>(-2 * f.reach_x);
+    taps_y = -floor_to_int<F>(-2 * f.reach_y);
     columns = -floor_to_int<F>(-2 * reach_x * kLess);
     rows = -floor_to_int<F>(-2 * reach_y * kLess);
     auto const fits = [&](int size) {
@@ -111,7 +116,7 @@ struct CoveredGather {
   __device__ __forceinline__ F weight_of_all(F u, F v) const {
     Footprint<F> const& f = shape.footprint;
     F const first_x = F(floor_to_int<F>(u - f.reach_x) + 1) - u, first_y = F(floor_to_int<F>(v - f.reach_y) + 1) - v;
-    int const taps_x = -floor_to_int<F>(-2 * f.reach_x), taps_y = -floor_to_int<F>(-2 * f.reach_y);
+    int const taps_x = shape.taps_x, taps_y = shape.taps_y;
     if (f.is_separable()) {
       F across = 0, down = 0;
 #pragma unroll 1

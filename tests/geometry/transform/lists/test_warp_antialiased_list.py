@@ -81,6 +81,25 @@ def test_gradients_are_those_of_single_images(dtype, padding, device):
     assert_close(*gradients, **({"atol": 2e-2} if dtype == torch.float16 else {"atol": 1e-6}))
 
 
+@pytest.mark.parametrize("padding", ["zeros", "border", "reflection"])
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=str)
+def test_gradients_of_turned_images_are_those_of_the_reference(dtype, padding, device):
+    """Of a list and of a batch, by affine maps: on CUDA they are gathered, in tiles of two sizes."""
+    sizes = ((40, 56), (64, 31), (97, 130), (7, 1))
+    matrices = shrinking(len(sizes), device)[:, :2].to(dtype)
+    for images in (pictures(device, dtype, sizes), [torch.rand(4, 3, 97, 130, dtype=dtype, device=device)]):
+        leaves = [x.requires_grad_() for x in images]
+
+        def gradients(leaves=leaves):
+            x = leaves if len(leaves) > 1 else leaves[0]
+            y = K.geometry.warp_affine(x, matrices, (37, 45), padding_mode=padding, antialias=True)
+            return torch.autograd.grad((y * torch.linspace(-1, 1, 45, dtype=dtype, device=device)).sum(), leaves)
+
+        with K.backend("reference"):
+            expected = gradients()
+        assert_close(gradients(), expected, 1e-5, 1e-9 if dtype == torch.float64 else 2e-4)
+
+
 def test_images_that_need_no_gradient_get_none(device):
     images = pictures(device)
     images[1].requires_grad_()

@@ -1,10 +1,10 @@
 #!/usr/bin/env bash
 # keras 3.15.1 (jax 0.10.2): RandomCrop moves boxes by the wrong offsets, the row's in x and the column's in y.
-# Believed: a layer that takes {"images", "bounding_boxes"} crops both alike, so that a box lies around its object, as it does with CenterCrop,
-# Resizing, RandomFlip and RandomTranslation. Seen of an object of 11 x 11 pixels and crops of 80 x 100 of 96 x 120: the box is up to 13 pixels from
-# the object, as far to the right as up or the other way, and fits only where row and column of the window happen to be equal; the window's row is
-# taken from x and its column from y, exactly. Relative boxes, "rel_xyxy", are taken times the size of the crop in place of the image's, and are too
-# small as well. Nothing is raised, and the boxes look plausible.
+# Believed: a layer that takes {"images", "bounding_boxes"} crops both alike, so that a box lies around its object, as it does with CenterCrop and
+# RandomTranslation. Seen of an object of 11 x 11 pixels and crops of 80 x 100 of 96 x 120: the box is up to 13 pixels from the object, as far to
+# the right as up or the other way, and fits only where row and column of the window happen to be equal; the window's row is taken from x and its
+# column from y, exactly. Relative boxes, "rel_xyxy", are taken times the size of the crop in place of the image's, and are too small as well.
+# Nothing is raised, and the boxes look plausible.
 set -euo pipefail
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT

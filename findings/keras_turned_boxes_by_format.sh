@@ -1,10 +1,10 @@
 #!/usr/bin/env bash
 # keras 3.15.1 (jax 0.10.2): RandomRotation and RandomPerspective read boxes of every format as xyxy; a turn by 0 degrees replaces them.
-# Believed: bounding_box_format says how boxes are written, and these come back in it, as with RandomFlip, RandomTranslation and Resizing, whose
-# results agree in all eight formats. Seen: boxes go in as corners in pixels whatever the format, and out in the one that was named. By 0 degrees
-# "xyxy" stays, and of the others x and y come back exchanged ("yxyx"), a box of 11 x 11 pixels as one of 34 x 24 ("xywh") or 40 x 30
-# ("center_xywh"), each elsewhere, and relative boxes as a tenth of a pixel in the upper left corner. RandomPerspective does the same. And with
-# "xyxy" boxes turn about another center than the image: by 180 degrees they are a pixel up and to the left of their objects, by 90 degrees one up.
+# Believed: bounding_box_format says how boxes are written, and these come back in it, as with RandomFlip and RandomTranslation, whose results agree
+# in all eight formats. Seen: boxes go in as corners in pixels whatever the format, and out in the one that was named. By 0 degrees "xyxy" stays,
+# and of the others x and y come back exchanged ("yxyx"), a box of 11 x 11 pixels as one of 34 x 24 ("xywh") or 40 x 30 ("center_xywh"), each
+# elsewhere, and relative boxes as a tenth of a pixel in the upper left corner. RandomPerspective does the same. And with "xyxy" boxes turn about
+# another center than the image: by 180 degrees they are a pixel up and to the left of their objects, by 90 degrees one up.
 set -euo pipefail
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT

@@ -2,8 +2,8 @@
 # laspy 2.7.0: intensities, colors and scan angles that do not fit into a LAS file wrap around, where its other fields raise.
 # Believed: what does not fit raises OverflowError, as coordinates that the scale has no room for do, classifications above 31 and returns above 7.
 # Seen: an intensity of 70000 is stored as 4464, a color of 66000 as 464, user data of 300 as 44 and a scan angle of 200 as -56, without a word.
-# Colors of 0 to 1, as most libraries of point clouds have them, are cut to 0, so that a cloud is black but for what is saturated, and 200.6 is 200,
-# where coordinates are rounded. Scale, round and clip before.
+# Colors of 0 to 1, as most libraries of point clouds have them, are cut to 0, so that a cloud is black but for what is saturated, and 200.6 is 200.
+# Scale, round and clip before.
 set -euo pipefail
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT

@@ -35,6 +35,12 @@ for encoding in (Encoding.ASCII, Encoding.BINARY, Encoding.BINARY_COMPRESSED):
         line = open(f"{sys.argv[1]}/cloud.pcd").read().split("DATA ascii\n")[1].splitlines()[0]
         print("    first line:", line, "color as a float:", cloud.pc_data["rgb"][0], "color", colors[0])
         assert line.split()[3] == "0.0000000000"
+packed = (colors.astype(np.uint32) << np.array([16, 8, 0], np.uint32)).sum(1).astype(np.uint32)
+whole = PointCloud.from_points((*points.T, packed), ("x", "y", "z", "rgba"), (*3 * [np.float32], np.uint32))
+whole.save(f"{sys.argv[1]}/whole.pcd", encoding=Encoding.ASCII)
+survives = np.array_equal(PointCloud.from_path(f"{sys.argv[1]}/whole.pcd").pc_data["rgba"], packed)
+print("the same colors in ASCII as uint32: as saved:", survives)
+assert survives
 small = np.array([[1e-7, 2.5e-8, 1e-11]], np.float32)
 PointCloud.from_xyz_points(small).save(f"{sys.argv[1]}/small.pcd", encoding=Encoding.ASCII)
 seen = PointCloud.from_path(f"{sys.argv[1]}/small.pcd").numpy()

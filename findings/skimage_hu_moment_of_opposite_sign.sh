@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # scikit-image 0.26.0 and opencv-python-headless 5.0.0.93: the seventh Hu moment of an image has opposite signs in the two.
 # Believed: Hu's seven invariants are numbers with one definition, so that features of both libraries mix, and the sign of the seventh tells a shape
-# from its mirror image, S from Z. Seen of a shape and of noise: the first six agree, the seventh is the other one's negative, from moments_hu and
+# from its mirror image, p from q. Seen of a shape and of noise: the first six agree, the seventh is the other one's negative, from moments_hu and
 # from regionprops; by the definition with x along the rows, written out below, OpenCV is right, and scikit-image gives what OpenCV gives of the
 # mirror image. Its moments are indexed by row and column, and the formula takes them as x and y. A classifier trained on one reads mirror images
 # from the other.

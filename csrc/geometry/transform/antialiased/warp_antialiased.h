@@ -194,19 +194,22 @@ struct CoveredTaps {
 
   // Whether a coordinate may move without a change of the result, so that it has no gradient.
   KV_HD static bool is_fixed(Axis<F> const& axis, F x) {
-    if (axis.padding == Padding::reflection) return x - x != 0 || (axis.align_corners && axis.size == 1);
+    if (period(axis) > 0) return x - x != 0;
     return !(x > F(-2 * kMaxReach)) || x > F(axis.size + 2 * kMaxReach);
   }
 
  private:
+  // Of reflections, or 0 where there are none: between the centers of one pixel they are that pixel, as is a border.
+  KV_HD static F period(Axis<F> const& axis) {
+    return axis.padding == Padding::reflection ? F(2 * (axis.align_corners ? axis.size - 1 : axis.size)) : F(0);
+  }
   // An equivalent coordinate near the image; NaN is out of bounds to the left.
   KV_HD static F near(Axis<F> const& axis, F x) {
-    if (axis.padding != Padding::reflection) {
+    F const period = CoveredTaps::period(axis);
+    if (period == 0) {
       F const low = F(-2 * kMaxReach), high = F(axis.size + 2 * kMaxReach);
       return x > low ? min(x, high) : low;
     }
-    F const period = F(2 * (axis.align_corners ? axis.size - 1 : axis.size));
-    if (period == 0) return 0;
     F const whole = x / period;
     x -= period * (sizeof(F) == 4 ? F(__builtin_floorf(float(whole))) : F(__builtin_floor(double(whole))));
     return x > 0 ? min(x, period) : F(0);

@@ -84,6 +84,20 @@ def test_axis_aligned_warps_are_antialiased_resizes(size, device):
     assert (rounded - theirs)[..., 1:-1, 1:-1].abs().max() < 0.51
 
 
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=str)
+def test_reflections_of_one_pixel_are_those_of_equal_pixels(dtype, device):
+    x = torch.rand(1, 3, 7, 1, dtype=dtype, device=device, requires_grad=True)
+    M = torch.tensor(
+        [[[0.4127, 0.1031, 5.0137], [-0.2053, 0.5091, 9.0171]]], dtype=dtype, device=device, requires_grad=True
+    )
+    weight = torch.rand(1, 3, 17, 13, dtype=dtype, device=device)
+    found = []
+    for image in (x, x.expand(-1, -1, -1, 9)):
+        y = G.warp_affine(image, M, (17, 13), padding_mode="reflection", antialias=True)
+        found.append((y, *torch.autograd.grad((y * weight).sum(), (x, M))))
+    assert_close(*found, 2e-5, 2e-4 if dtype == torch.float32 else 1e-9)
+
+
 def test_without_shrinking_it_is_the_plain_warp(device):
     """Values and gradients, of maps that turn and magnify."""
     x = torch.rand(2, 3, 21, 19, dtype=torch.float64, device=device, requires_grad=True)

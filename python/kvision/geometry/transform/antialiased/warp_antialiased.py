@@ -132,12 +132,10 @@ def _count_taps(center: Tensor, reach: Tensor) -> int:
 
 def _near_image(x: Tensor, size: int, padding: str, align_corners: bool) -> Tensor:
     """Equivalent coordinates near the image. NaN is out of bounds, to the left."""
-    if padding != "reflection":
+    period = 2 * (size - 1 if align_corners else size)
+    if padding != "reflection" or period == 0:  # reflections between the centers of one pixel are that, as is a border
         low = -2.0 * MAX_REACH
         return clamp(torch.where(x > low, x, low), high=size + 2 * MAX_REACH)
-    period = 2 * (size - 1 if align_corners else size)
-    if period == 0:
-        return 0 * x.nan_to_num()  # all coordinates read the only pixel
     reflected = x - period * (x.detach() / period).floor()
     return clamp(torch.where(reflected.isfinite(), reflected, 0.0), 0, period)
 

@@ -93,9 +93,8 @@ def _read_nodes_reference(
     margins: Sequence[int],
 ) -> tuple[Tensor, Tensor]:
     is_map, of_nodes = link.dim() == 1, []
-    maps = iter(
-        unpacked(link, [n for b, own in enumerate(moved) if own for n in before[2 * b : 2 * b + 2]]) if is_map else []
-    )
+    displaced_sides = [n for b, own in enumerate(moved) if own for n in before[2 * b : 2 * b + 2]]
+    maps = iter(unpacked(link, displaced_sides) if is_map else [])
     given = None if coordinates is None or kinds is None else (coordinates, kinds)
     each = None if given is None else list(zip(*(_split(x, sides, margins) for x in given)))
     for b, margin in enumerate(margins):
@@ -139,11 +138,9 @@ def displaced(points: Tensor, maps: Tensor, sides: Sequence[int], moved: Sequenc
         above = a + u * (b - a)
         along.append(above + v * (c + u * (d - c) - above))
     y = points + torch.stack(along, -1)
-    return (
-        y
-        if all(moved)
-        else torch.where(on_device(torch.tensor(moved, device="cpu"), y.device)[:, None, None], y, points)
-    )
+    if all(moved):
+        return y
+    return torch.where(on_device(torch.tensor(moved, device="cpu"), y.device)[:, None, None], y, points)
 
 
 def _node_count(sides: Sequence[int], margins: Sequence[int]) -> int:

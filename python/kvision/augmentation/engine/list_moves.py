@@ -115,16 +115,15 @@ class ListMap(NamedTuple):
 class Move(NamedTuple):
     """A step on some images of a list: all, where `samples` is None. Sizes are height and width of all images around it.
 
-    It has matrices, maps, or neither where nothing moves.
+    It has matrices, maps, or neither where nothing moves. `crops`, one bool of each, are the images of which boxes with centers
+    outside of the results are removed.
     """
 
     matrix: Tensor | None
     before: Sequence[int]
     after: Sequence[int]
     samples: Sequence[int] | None = None
-    crops: Tensor | None = (
-        None  # bool, one of each, those of which boxes with centers outside of the results are removed
-    )
+    crops: Tensor | None = None
     map: ListMap | None = None
 
     def of_some(self, samples: Sequence[int], sides: Sequence[int]) -> Move:

@@ -18,7 +18,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 REFERENCES, KERNELS, TESTS, PAGES = (ROOT / f for f in ("python/kvision", "csrc", "tests", "docs/reference"))
 REGISTERED = re.compile(
-    r'\b(?:_?register(?:_added|_eraser|_filter|_fit|_formula|_list(?:_backward)?)?|FastPath|ListOperator)\(\s*"(\w+)"'
+    r'\b(?:_?register(?:_added|_eraser|_filter|_fit|_formula|_list(?:_backward)?|_warp)?|FastPath|ListOperator)\(\s*"(\w+)"'
 )
 DECLARED = re.compile(r"^KV_OPERATOR\(\s*(\w+)\s*,", re.MULTILINE)
 TABULATED = re.compile(r"^  _\((\w+), [\w:<>]+,", re.MULTILINE)  # a row of a table of formulas in a header
@@ -86,7 +86,7 @@ def declared() -> dict[str, Path]:
 
 def owner(name: str, references: dict[str, Path]) -> Path | None:
     """The file that registers an operator, by its name or by the name without a suffix that a helper adds."""
-    for suffix in ("", "_backward", "_kernel_backward", "_by_formula"):
+    for suffix in ("", "_backward", "_matrix_backward", "_kernel_backward", "_by_formula"):
         if file := references.get(name.removesuffix(suffix)):
             return file
     return None

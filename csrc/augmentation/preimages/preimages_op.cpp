@@ -195,7 +195,7 @@ std::tuple<Tensor, Tensor> preimage_points_list(Tensor const& points, Tensor con
 
 }  // namespace
 
-// Where a map of nodes reads the inside of quadrilaterals, and points. preimages.py says what the arguments are.
+// Where a map of nodes reads the inside of quadrilaterals, and points. result_map.py says what the arguments are.
 KV_OPERATOR(
     preimage_extents,
     "(Tensor quads, Tensor directions, Tensor coordinates, Tensor kinds, Tensor x, Tensor y, int margin) -> Tensor")

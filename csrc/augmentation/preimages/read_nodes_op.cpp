@@ -70,7 +70,7 @@ std::tuple<Tensor, Tensor> read_nodes_list(Tensor const& link, std::optional<Ten
 
 }  // namespace
 
-// Where nodes read images, and their kinds. preimages_list.py says what the arguments are.
+// Where nodes read images, and their kinds. result_map_list.py says what the arguments are.
 KV_OPERATOR(read_nodes_list,
             "(Tensor link, Tensor? coordinates, Tensor? kinds, SymInt[] before, int[] moved, int[] bounded, SymInt[] "
             "sides, SymInt[] margins) -> (Tensor, Tensor)")

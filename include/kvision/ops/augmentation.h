@@ -176,7 +176,7 @@ inline constexpr Operator<"drop_objects", Tensor(Tensor masks, OptionalTensor co
 
 // --- augmentation/preimages/preimages_op.cpp
 
-// Where a map of nodes reads the inside of quadrilaterals, and points. preimages.py says what the arguments are.
+// Where a map of nodes reads the inside of quadrilaterals, and points. result_map.py says what the arguments are.
 inline constexpr Operator<"preimage_extents", Tensor(Tensor quads, Tensor directions, Tensor coordinates, Tensor kinds,
                                                      Tensor x, Tensor y, int64_t margin)>
     preimage_extents{non_differentiable};
@@ -192,7 +192,7 @@ inline constexpr Operator<"preimage_points_list",
 
 // --- augmentation/preimages/read_nodes_op.cpp
 
-// Where nodes read images, and their kinds. preimages_list.py says what the arguments are.
+// Where nodes read images, and their kinds. result_map_list.py says what the arguments are.
 inline constexpr Operator<"read_nodes_list", Two(Tensor link, OptionalTensor coordinates, OptionalTensor kinds,
                                                  Ints before, Ints moved, Ints bounded, Ints sides, Ints margins)>
     read_nodes_list{non_differentiable};

@@ -14,7 +14,7 @@ from kvision.augmentation import maps
 from kvision.augmentation.displacements import NoiseField
 from kvision.augmentation.distortion.displacement_map import MapFormula
 from kvision.augmentation.engine import AugmentationBase2D, Contribution, Execution, Motion, Params
-from kvision.augmentation.preimages import find_positions
+from kvision.augmentation.preimages.result_map import find_positions
 from kvision.augmentation.samples import where_chosen
 from kvision.augmentation.warp_and_color import Resampling
 from kvision.constants import AnyResample, AnySamplePadding, Resample, SamplePadding

@@ -27,8 +27,8 @@ from kvision.augmentation.labels import (
     rectangle_around,
 )
 from kvision.augmentation.maps import vector
-from kvision.augmentation.preimages import EXACT, ResultMap, at_nodes, result_map
-from kvision.augmentation.preimages_list import NodeReading, ResultMapList, result_map_list
+from kvision.augmentation.preimages.result_map import EXACT, ResultMap, at_nodes, result_map
+from kvision.augmentation.preimages.result_map_list import NodeReading, ResultMapList, result_map_list
 from kvision.augmentation.samples import where_chosen
 
 _SIDE = 16  # points on each side of a box that moves through what bends its sides

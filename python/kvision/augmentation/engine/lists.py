@@ -15,7 +15,7 @@ from kvision.augmentation.engine.label_settings import LabelSettings, MaskReadin
 from kvision.augmentation.engine.stages import INSIDE, ByMatrix, Nested, Stage, Warp
 from kvision.augmentation.labels import is_within
 from kvision.augmentation.maps import exact, exact_each, warp_each, warp_to_sizes
-from kvision.augmentation.preimages_list import NodeReading, displaced
+from kvision.augmentation.preimages.result_map_list import NodeReading, displaced
 from kvision.core.exceptions import ShapeError
 
 

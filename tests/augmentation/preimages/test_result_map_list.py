@@ -7,8 +7,8 @@ import torch
 from torch import Tensor
 
 import kvision as K
-from kvision.augmentation.preimages import result_map
-from kvision.augmentation.preimages_list import NodeReading, ResultMapList, displaced, result_map_list
+from kvision.augmentation.preimages.result_map import result_map
+from kvision.augmentation.preimages.result_map_list import NodeReading, ResultMapList, displaced, result_map_list
 from kvision.geometry.linalg import transform_points
 from kvision.geometry.transform.lists.remap_list import packed
 

@@ -1,4 +1,4 @@
-"""Where the pixels of the results of a list are that read its images: preimages.py for results of a size each, together.
+"""Where the pixels of the results of a list are that read its images: result_map.py for results of a size each, together.
 
 The maps of a list are one tensor, one after the other, each as large as its result needs.
 """
@@ -14,7 +14,7 @@ from torch import Tensor
 from kvision._constants import on_device
 from kvision._ops import register
 from kvision.augmentation.labels import is_within
-from kvision.augmentation.preimages import (
+from kvision.augmentation.preimages.result_map import (
     _extents_reference,
     _node_positions,
     _points_reference,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from kvision.augmentation.preimages import EXACT, INSIDE, NEAREST_PIXEL, PIXEL, ResultMap, result_map
+from kvision.augmentation.preimages.result_map import EXACT, INSIDE, NEAREST_PIXEL, PIXEL, ResultMap, result_map
 from point_op_tests import SINGLE_AND_DOUBLE, Call, PointOpTests, vector
 
 H, W, MARGIN = 21, 39, 2

@@ -19,6 +19,7 @@ from kvision.augmentation.engine import (
     RigidAffineAugmentationBase3D,
     Shape,
 )
+from kvision.augmentation.lists.replays import replay_pixels
 from kvision.augmentation.warp_and_color import ColorStep, make_pass
 from kvision.color.steps import STEPS
 
@@ -59,6 +60,7 @@ class IntensityAugmentationBase2D(RigidAffineAugmentationBase2D, keeps_contract=
     keeps_positions = True
     takes_volumes = False
     order_of_steps: ClassVar[str | None] = None  # the field with numbers of steps in their order; None: as listed
+    _of_pixels: Sequence[str] = ()  # the parameters of each pixel, where these alone say what it becomes
 
     def color_steps(self, shape: Shape, flags: dict[str, Any]) -> Sequence[ColorStep] | None:
         """The steps, whose parameters are numbers or names of fields; None if `apply_transform` is overridden instead."""
@@ -108,6 +110,11 @@ class IntensityAugmentationBase2D(RigidAffineAugmentationBase2D, keeps_contract=
         if image_pass is None:
             return super()._run(x, execution, flags)
         return image_pass.run(x, None if columns is None else columns.drawn)[0]
+
+    def _run_list(self, images: Sequence[Tensor], execution: Execution) -> list[Tensor]:
+        if execution.params is None or not self._of_pixels:
+            return super()._run_list(images, execution)
+        return replay_pixels(self, images, execution.params, self._of_pixels)
 
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from kvision._dtype import compute_dtype
-from kvision.augmentation.engine import Execution, Params
+from kvision.augmentation.engine import Params
 from kvision.augmentation.intensity_base import IntensityAugmentationBase2D
-from kvision.augmentation.lists.replays import replay_pixels
 from kvision.augmentation.noise import gaussian_noise, salt_and_pepper
 from kvision.augmentation.random_generator.noise import GaussianNoiseGenerator, SaltAndPepperGenerator
 from kvision.augmentation.ranges import Numbers
@@ -22,19 +20,7 @@ __all__ = ["RandomGaussianNoise", "RandomSaltAndPepperNoise"]
 # Noise is drawn where it is added. Reading `_params` makes a tensor of it, by the same key.
 
 
-class _AddedNoise(IntensityAugmentationBase2D, keeps_contract=True):
-    """Noise that is drawn where it is added."""
-
-    fuses_noise = True
-    _of_pixels: ClassVar[tuple[str, ...]]  # the names of the parameters of each pixel
-
-    def _run_list(self, images: Sequence[Tensor], execution: Execution) -> list[Tensor]:
-        if execution.params is None:
-            return super()._run_list(images, execution)
-        return replay_pixels(self, images, execution.params, self._of_pixels)
-
-
-class RandomGaussianNoise(_AddedNoise, keeps_contract=True):
+class RandomGaussianNoise(IntensityAugmentationBase2D, keeps_contract=True):
     """Add normal noise to images, without clamping the result.
 
     Args:
@@ -53,6 +39,7 @@ class RandomGaussianNoise(_AddedNoise, keeps_contract=True):
         tensor([[[[0.5000, 0.5000]]]])
     """
 
+    fuses_noise = True
     _of_pixels = ("gaussian_noise",)
 
     def __init__(
@@ -81,7 +68,7 @@ class RandomGaussianNoise(_AddedNoise, keeps_contract=True):
         return Operation(gaussian_noise, (parameters.to(compute_dtype(like)), *noise.arguments()))
 
 
-class RandomSaltAndPepperNoise(_AddedNoise, keeps_contract=True):
+class RandomSaltAndPepperNoise(IntensityAugmentationBase2D, keeps_contract=True):
     """Set random pixels to 1 and to 0, in all channels.
 
     Args:
@@ -100,6 +87,7 @@ class RandomSaltAndPepperNoise(_AddedNoise, keeps_contract=True):
         tensor([[[[1., 1.]]]])
     """
 
+    fuses_noise = True
     _of_pixels = ("mask_salt", "mask_pepper")
 
     def __init__(

@@ -32,7 +32,6 @@ from kvision.augmentation.lists import filter_lists, statistics_lists
 from kvision.augmentation.lists.conversions import run_on_list
 from kvision.augmentation.lists.drawn_layers import blurred_maps
 from kvision.augmentation.lists.pixels import given_maps, packed_maps
-from kvision.augmentation.lists.replays import replay_pixels
 from kvision.augmentation.lists.sides import rows_on_device, sides_of, sizes_of_list
 from kvision.augmentation.maps import as_batch
 from kvision.augmentation.noise import (
@@ -519,6 +518,7 @@ class CommonCorruption(IntensityAugmentationBase2D, keeps_contract=True):
         self.register_buffer("texture", None if texture is None else as_textures(op, texture), persistent=False)
         self.fuses_noise = CORRUPTIONS[name].fused is not None
         self.filters_chosen = CORRUPTIONS[name].is_operation and not self.fuses_noise
+        self._of_pixels = ("noise",) if name in _BY_PIXEL else ()
         self.accepts_bytes = self.fuses_noise or CORRUPTIONS[name].takes_bytes
         self._param_generator = self._generator(op)
 
@@ -613,11 +613,6 @@ class CommonCorruption(IntensityAugmentationBase2D, keeps_contract=True):
         if "noise" not in params:
             return {}
         return {"noise": given_maps(params["noise"], like.device, compute_dtype(like), execution.chosen)}
-
-    def _run_list(self, images: Sequence[Tensor], execution: Execution) -> list[Tensor]:
-        if self.name in _BY_PIXEL and execution.params is not None:
-            return replay_pixels(self, images, execution.params, ["noise"])
-        return super()._run_list(images, execution)
 
     def _operates_on(self, dtype: torch.dtype) -> bool:
         generator = self._param_generator

@@ -329,6 +329,7 @@ class MultiplicativeNoise(IntensityAugmentationBase2D, keeps_contract=True):
         op = "MultiplicativeNoise"
         channels = None if _check.switch(op, "per_channel", per_channel) else 1
         self.fuses_noise = _check.switch(op, "elementwise", elementwise)
+        self._of_pixels = ("factors",) if elementwise else ()
         side = None if elementwise else 1
         between = ranges.parse(op, "multiplier", multiplier, bounds=(0.0, float("inf")))
         self._param_generator = FactorsGenerator(op, between, (channels, side, side))
@@ -355,12 +356,7 @@ class MultiplicativeNoise(IntensityAugmentationBase2D, keeps_contract=True):
 
     def _run_list(self, images: Sequence[Tensor], execution: Execution) -> list[Tensor]:
         if self.fuses_noise:
-            given = execution.params
-            return (
-                super()._run_list(images, execution)
-                if given is None
-                else replay_pixels(self, images, given, ["factors"])
-            )
+            return super()._run_list(images, execution)
         like, chosen = like_batch(images), execution.chosen
         params = self._params_on_device(like, execution, for_users=False)
         scaling = self._scaling(like, params)
@@ -391,6 +387,7 @@ class SpeckleNoise(IntensityAugmentationBase2D, keeps_contract=True):
     """
 
     fuses_noise = True
+    _of_pixels = ("factors",)
     _param_generator: FactorsGenerator
 
     def __init__(
@@ -408,12 +405,6 @@ class SpeckleNoise(IntensityAugmentationBase2D, keeps_contract=True):
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None
     ) -> Tensor:
         return multiplied(self._param_generator, input, params)
-
-    def _run_list(self, images: Sequence[Tensor], execution: Execution) -> list[Tensor]:
-        given = execution.params
-        return (
-            super()._run_list(images, execution) if given is None else replay_pixels(self, images, given, ["factors"])
-        )
 
     def _operation(self, like: Tensor, params: Params) -> Operation:
         return multiplication(self._param_generator, like, params)

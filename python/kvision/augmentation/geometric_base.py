@@ -25,6 +25,7 @@ from kvision.augmentation.warp_and_color import Resampling
 from kvision.constants import Resample, SamplePadding
 from kvision.core.exceptions import ValueCheckError
 from kvision.geometry.linalg import transform_points
+from kvision.geometry.transform.lists.arguments import images_of
 
 __all__ = ["GeometricAugmentationBase2D"]
 
@@ -268,4 +269,4 @@ class AntialiasedByMatrix(GeometricAugmentationBase2D):
         if chosen is not None:
             matrix = torch.where(chosen[:, None, None], matrix, torch.eye(3, dtype=matrix.dtype, device=matrix.device))
         results = warp_covered_each(images, matrix, size, self.resampling(self.flags))
-        return list(results[0] if results[0].dim() == 4 else results) if is_list else results[0]
+        return images_of(results) if is_list else results[0]

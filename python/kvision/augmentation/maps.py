@@ -22,7 +22,7 @@ from kvision.augmentation.warp_and_color import Resampling, fill_of_images
 from kvision.geometry.transform import sampling
 from kvision.geometry.transform.antialiased.warp_antialiased import remap_antialiased, warp_antialiased
 from kvision.geometry.transform.composed.composed_warp import composed_coords, composed_warp, link_arguments
-from kvision.geometry.transform.lists.arguments import largest_shape, like_batch
+from kvision.geometry.transform.lists.arguments import images_of, largest_shape, like_batch
 from kvision.geometry.transform.lists.remap_list import remap_list
 from kvision.geometry.transform.lists.resize_windows_list import resize_windows_list
 from kvision.geometry.transform.lists.warp_antialiased_list import warp_antialiased_list
@@ -316,5 +316,4 @@ def warp_to_sizes(
     images: list[Tensor], matrix: Tensor, sizes: Sequence[int], resampling: Resampling, inverse: bool = True
 ) -> list[Tensor]:
     """`warp_each` for the height and width of each: an image (C, h, w) of each, also of one by itself."""
-    results = warp_each(images, matrix, sizes, resampling, inverse)
-    return list(results[0] if results[0].dim() == 4 else results)
+    return images_of(warp_each(images, matrix, sizes, resampling, inverse))

@@ -161,7 +161,7 @@ def _list_backward(needs, grads, results, images, columns, fill, warps, sizes, p
             sampled = resize_windows_list(images, matrix, lists.sizes(ys), parts.sampling[0], parts.sampling[2])
         else:
             sampled = warp_list(images, matrix, fill, lists.sizes(ys), *options) if warps else images
-        sampled = list(sampled[0]) if sampled[0].dim() == 4 else sampled
+        sampled = lists.images_of(sampled)
         if needs[1]:
             none, of_each = matrix[:, :0], []
             for b, (g, x) in enumerate(zip(grads, sampled)):

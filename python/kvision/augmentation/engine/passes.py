@@ -31,7 +31,7 @@ from kvision.augmentation.samples import where_chosen
 from kvision.augmentation.transforms import MAX_TRANSFORMS, MatrixPlan, Transform, keeps_rows, transform_matrix
 from kvision.augmentation.warp_and_color import SAME, ColorPart, Output, Pass, Resampling, fits_one_program, make_pass
 from kvision.augmentation.warp_and_color_list import warp_and_color_list, warp_and_color_to_list
-from kvision.geometry.transform.lists.arguments import like_batch
+from kvision.geometry.transform.lists.arguments import images_of, like_batch
 
 # Gives the map of an augmentation of a run for kernels that draw its noise; None if it is another map.
 NoiseFields = Callable[[int], NoiseField | None]
@@ -196,7 +196,7 @@ class Covering(NamedTuple):
             (y,) = warp_covered_each(x, matrix, self.size, self.resampling)
             return y, running.warp_of_list(self.geometric, matrix, self.size, self.resampling)
         results = warp_covered_each(x, matrix, sized.sizes_after(self.geometric, x), self.resampling)
-        return list(results[0] if results[0].dim() == 4 else results), None
+        return images_of(results), None
 
     def replayed(self, like: Tensor, running: Running) -> Stage:
         """As that of :class:`Joined`."""

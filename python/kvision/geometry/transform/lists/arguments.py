@@ -156,12 +156,17 @@ def largest_shape(images: Sequence[Tensor]) -> tuple[int, ...]:
     return (len(images), images[0].shape[0], max(heights), max(widths))
 
 
+def images_of(results: Sequence[Tensor]) -> list[Tensor]:
+    """Results (C, h, w) for a size of each image, as operators return them: that of one image by itself is a batch of one."""
+    return list(results[0] if results[0].dim() == 4 else results)
+
+
 def of_value_list(results: Sequence[Tensor], like: Tensor, mode: str, is_list: bool) -> Any:
     """The results of an operator on :func:`as_value_list`: (B, C, h, w), or a list of (C, h, w)."""
     if not is_list:
         return of_values(results[0], like, mode)
-    each = [results[0][0]] if results[0].dim() == 4 else results  # of a list of one image
-    return list(each) if not moves_values(like, mode) else [of_values(y[None], like, mode)[0] for y in each]
+    each = images_of(results)
+    return each if not moves_values(like, mode) else [of_values(y[None], like, mode)[0] for y in each]
 
 
 # --- rules of operators ---------------------------------------------------------------------------------------------

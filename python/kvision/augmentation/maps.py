@@ -22,6 +22,7 @@ from kvision.augmentation.warp_and_color import Resampling, fill_of_images
 from kvision.geometry.transform import sampling
 from kvision.geometry.transform.antialiased.warp_antialiased import remap_antialiased, warp_antialiased
 from kvision.geometry.transform.composed.composed_warp import composed_coords, composed_warp, link_arguments
+from kvision.geometry.transform.composed.link_coords_list import composed_coords_list
 from kvision.geometry.transform.lists.arguments import images_of, largest_shape, like_batch
 from kvision.geometry.transform.lists.remap_list import remap_list
 from kvision.geometry.transform.lists.resize_windows_list import resize_windows_list
@@ -45,23 +46,28 @@ def read_displaced_list(
     images: Sequence[Tensor], displacements: Tensor, resampling: Resampling, by_channel: bool = False
 ) -> list[Tensor]:
     """Images (C, H, W) of different sizes read by maps, of each or of each of their channels, as `remap_list` takes them."""
-    fill = fill_of_images(images[0], resampling.fill)
-    return _read_displaced_list(images, displacements, resampling, fill, by_channel)
+    return _read_list(images, displacements, resampling, fill_of_images(images[0], resampling.fill), (), by_channel)
 
 
 def read_labels_displaced_list(masks: Sequence[Tensor], displacements: Tensor, resampling: Resampling) -> list[Tensor]:
     """Masks (N, H, W) of any type and of different sizes read by a map of each."""
-    moved = _read_displaced_list(exact_each(masks), displacements, resampling, resampling.fill, False)
+    moved = _read_list(exact_each(masks), displacements, resampling, resampling.fill)
     return as_type_of_each(moved, masks[0].dtype)
 
 
-def _read_displaced_list(
-    images: Sequence[Tensor], displacements: Tensor, resampling: Resampling, fill: object, by_channel: bool
+def _read_list(
+    images: Sequence[Tensor],
+    maps: Tensor,
+    resampling: Resampling,
+    fill: object,
+    sizes: Sequence[int] = (),
+    by_channel: bool = False,
 ) -> list[Tensor]:
+    """Images (C, H, W) read by displacements or, with height and width of each result, at the coordinates of these."""
     like = like_batch(images)
     padding, fill_values = sampling.padding_and_fill("augmentation", like, resampling.padding, fill)
-    options = (INTERPOLATION[resampling.mode], padding, resampling.align_corners, by_channel)
-    return list(remap_list(list(images), displacements.to(compute_dtype(like)), fill_values, *options))
+    options = (list(sizes), INTERPOLATION[resampling.mode], padding, resampling.align_corners, by_channel)
+    return list(remap_list(list(images), maps.to(compute_dtype(like)), fill_values, *options))
 
 
 def as_batch(layers: Sequence[Tensor]) -> Tensor:
@@ -95,6 +101,30 @@ def read_composed(
         return _read_composed(x, links, size, resampling, fill_of_images(x, resampling.fill))
     coordinates = composed_coords(*link_arguments(links, size), list(size)).movedim(1, -1)
     return read(x, coordinates, resampling, antialias)
+
+
+def read_composed_list(
+    images: Sequence[Tensor],
+    links: Sequence[tuple[Tensor, Sequence[int]]],
+    sizes: Sequence[int],
+    resampling: Resampling,
+) -> list[Tensor]:
+    """Images (C, H, W) of a list read by a chain of links, as `composed_coords_list` takes them, for the size of each result."""
+    fill = fill_of_images(images[0], resampling.fill)
+    return _read_list(images, composed_coords_list(links, sizes), resampling, fill, sizes)
+
+
+def read_labels_composed_list(
+    masks: Sequence[Tensor],
+    links: Sequence[tuple[Tensor, Sequence[int]]],
+    sizes: Sequence[int],
+    resampling: Resampling,
+) -> list[Tensor]:
+    """The same of masks (N, H, W) of any type."""
+    coordinates = composed_coords_list(links, sizes)
+    return as_type_of_each(
+        _read_list(exact_each(masks), coordinates, resampling, resampling.fill, sizes), masks[0].dtype
+    )
 
 
 def warp_covered(x: Tensor, matrix: Tensor, size: Sequence[int], resampling: Resampling) -> Tensor:

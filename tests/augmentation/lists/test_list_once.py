@@ -1,10 +1,10 @@
-"""Lists of images that `resample="once"` reads by one antialiased warp: as each image alone, by the launches of a batch."""
+"""Lists of images that `resample="once"` reads by one antialiased warp or composed map: as alone, by the launches of a batch."""
 
 import pytest
 import torch
 
 from augmentation.container.test_list_launches import calls
-from augmentation.test_lists import assert_as_alone, assert_same, pictures, seeds_of
+from augmentation.test_lists import assert_as_alone, pictures, seeds_of
 from kvision import augmentation as A
 
 SIZES = ((16, 20), (24, 31), (16, 20), (27, 27), (40, 18))
@@ -20,8 +20,33 @@ CHAINS = {
     "first a batch": lambda: (A.RandomResizedCrop((14, 12), antialias=True), A.RandomRotation(20.0), A.CenterCrop(9)),
     "other sizes": lambda: (shrink(), A.SmallestMaxSize(11, antialias=True), A.Transpose(p=1.0), A.Pad(1)),
     "colors around": lambda: (A.RandomInvert(), shrink(), A.RandomRotation(9.0, p=1.0), A.Normalize(0.4, 0.3)),
+    "map": lambda: (A.RandomAffine(20.0), A.OpticalDistortion(p=0.7), A.RandomHorizontalFlip(), A.Normalize(0.4, 0.3)),
+    "maps": lambda: (
+        A.RandomElasticTransform((5, 5), (2.0, 2.0), p=0.7),
+        A.RandomRotation(20.0),
+        A.RandomThinPlateSpline(0.1),
+    ),
+    "map and sizes": lambda: (
+        A.RandomThinPlateSpline(0.1),
+        A.SmallestMaxSize(11, antialias=False),
+        A.Transpose(p=1.0),
+        A.Pad(1),
+        A.OpticalDistortion(p=0.7),
+    ),
+    "map and a batch": lambda: (A.GridDistortion(), A.RandomResizedCrop((9, 11)), A.OpticalDistortion(p=0.7)),
+    "map of a batch": lambda: (
+        A.CenterCrop((14, 12)),
+        A.RandomElasticTransform((5, 5), (2.0, 2.0)),
+        A.ColorJitter(0.2),
+    ),
+    "maps inside": lambda: (
+        A.RandomAffine(20.0),
+        A.ImageSequential(A.RandomRotation(9.0), A.OpticalDistortion(p=0.7), A.RandomHorizontalFlip()),
+        A.OneOf(A.RandomThinPlateSpline(0.1), A.RandomPerspective(0.4), A.RandomAffine(20.0)),
+    ),
     "two": lambda: (shrink(), A.RandomRotation(9.0), A.RandomGaussianNoise(), A.RandomRotation(9.0), shrink(p=0.7)),
 }
+MAPS = [name for name in CHAINS if "map" in name]  # whose points and boxes differ by rounding
 chains = pytest.mark.parametrize("name", CHAINS)
 
 
@@ -49,9 +74,10 @@ def test_labels_follow_the_warp(name, device):
     again = augment(images, *labels, params=augment._params)
     for b, x in enumerate(images):
         alone = augment(x[None], *[own[b][None] for own in labels], seed=seeds[b : b + 1])
-        for of_list, replayed, own in zip(moved, again, alone, strict=True):
-            assert_same(of_list[b], own[0])
-            assert_same(replayed[b], own[0])
+        for i, own in enumerate(alone):
+            tolerance = 1e-3 if name in MAPS and i > 1 else 0
+            for mine in (moved[i][b], again[i][b]):
+                torch.testing.assert_close(mine, own[0], rtol=0, atol=tolerance)
 
 
 @chains
@@ -64,7 +90,7 @@ def test_gradients_reach_each_image(name, device):
         torch.testing.assert_close(gradients[b], torch.autograd.grad(alone, x)[0], atol=1e-4, rtol=1e-4)
 
 
-@chains
+@pytest.mark.parametrize("name", [name for name in CHAINS if "inside" not in name])  # choices
 def test_calls_do_not_depend_on_the_number_of_images(name, backend):
     if backend == "reference":
         pytest.skip("this test is about the kernels")
@@ -72,11 +98,11 @@ def test_calls_do_not_depend_on_the_number_of_images(name, backend):
     for number in (3, 9):
         images = pictures("cpu", [(24 + i, 45 - i) for i in range(number)])
         counts.append(calls(augment, images, seed=seeds_of(images)))
-    assert counts[0] == counts[1] <= 8
+    assert counts[0] == counts[1] <= 9
 
 
 @pytest.mark.tracing
-@pytest.mark.parametrize("name", ["list", "batch", "other sizes"])
+@pytest.mark.parametrize("name", ["list", "batch", "other sizes", "map", "map and sizes"])
 def test_lists_that_are_warped_once_have_graphs(name, device, backend):
     if backend == "reference":
         pytest.skip("this test is about the kernels")

@@ -186,21 +186,29 @@ KV_WALK void displace_vjp(Link<F> const& link, int64_t b, F x, F y, F& grad_x, F
 
 // --- chains ----------------------------------------------------------------------------------------------------------
 
-// Replaces N pixels of the result by their sampling coordinates. The loads of N pixels are independent, so that they
-// are in flight together. `inverses` are the inverses of the links that are matrices.
+// Moves N pixels back through a link, whose `inverse` is read if it is a matrix. The loads of N pixels are independent,
+// so that they are in flight together.
+template <int N, class F, class V, class Read>
+KV_WALK void follow(Link<F> const& link, Homography<F> const& inverse_of_matrix, int64_t b, V (&x)[N], V (&y)[N],
+                    Read read) {
+  if (link.is_matrix()) {
+    Homography<F> const inverse = inverse_of_matrix;
+#pragma unroll
+    for (int i = 0; i < N; ++i) apply_inverse(inverse, x[i], y[i]);
+  } else {
+#pragma unroll
+    for (int i = 0; i < N; ++i) displace(link, b, x[i], y[i], read);
+  }
+}
+
+// Replaces N pixels of the result by their sampling coordinates. `inverses` are the inverses of the links that are
+// matrices.
 template <int N, class F, class V, class Read>
 KV_WALK void walk(Chain<F> const& chain, Homography<F> const* inverses, int64_t b, V (&x)[N], V (&y)[N], Read read) {
 #pragma unroll 1
   for (int k = 0; k < chain.count; ++k) {
     Link<F> const link = chain.links[k];
-    if (link.is_matrix()) {
-      Homography<F> const inverse = inverses[k];
-#pragma unroll
-      for (int i = 0; i < N; ++i) apply_inverse(inverse, x[i], y[i]);
-    } else {
-#pragma unroll
-      for (int i = 0; i < N; ++i) displace(link, b, x[i], y[i], read);
-    }
+    follow(link, inverses[k], b, x, y, read);
   }
 }
 

@@ -3,8 +3,7 @@
 #include "core/iota.h"
 #include "core/lanes.h"
 #include "core/scratch.h"
-// After core/lanes.h, whose vectors it uses.
-#include "geometry/transform/composed/composed_warp.h"
+#include "geometry/transform/composed/read_lanes.h"
 
 namespace kv::geometry::KV_ISA {
 namespace {
@@ -21,21 +20,6 @@ struct Inverses {
         if (chain.links[k].is_matrix()) maps[k] = narrowed<F>(chain.links[k].inverse(b));
     sample = b;
     return maps;
-  }
-};
-
-// Reads elements of a plane one by one, because gather instructions are slower on many processors.
-struct ReadLanes {
-  template <class F, class I>
-  KV_HD auto operator()(F const* plane, I at) const {
-    constexpr int N = sizeof(I) / sizeof(int);
-    if constexpr (N == 1) {
-      return plane[at];
-    } else {
-      Lanes<F, N> v;
-      for (int i = 0; i < N; ++i) v[i] = plane[at[i]];
-      return v;
-    }
   }
 };
 

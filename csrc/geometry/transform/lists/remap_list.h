@@ -1,5 +1,5 @@
-// Maps of lists of images of different sizes: a sample of a list is a batch of one with displacements of its own, for
-// which the kernels of sampling.h are run. The results have the sizes of the images.
+// Maps of lists of images of different sizes: a sample of a list is a batch of one with a map of its own, displacements
+// or coordinates, for which the kernels of sampling.h are run. The results have the sizes of the maps.
 #pragma once
 
 #include "core/image_list.h"
@@ -10,12 +10,21 @@ namespace kv::geometry {
 // Maps lie in a block of memory, where each begins at a multiple of so many elements.
 constexpr int kBlockUnit = 16;
 
+// An image that is read. Tables have maps and sizes of results besides, so that strides are short.
+struct MappedImage {
+  void const* data;
+  int64_t channel_stride;
+  int row_stride, step, height, width;
+
+  KV_HD ListedImage listed() const { return {data, channel_stride, row_stride, step, height, width}; }
+};
+
 // What is read and what is written for each of `count` samples, and where its map (2, H, W) begins in the block.
 struct MappedSamples {
   int count, items;
   bool interleaved;  // results
-  ListedImage images[kMaxListed];
-  void* results[kMaxListed];
+  MappedImage images[kMaxListed];
+  ListedResult results[kMaxListed];
   uint32_t maps[kMaxListed];  // in units
   int first[kMaxListed];
 
@@ -52,10 +61,10 @@ struct RemapListBackward {
   MappedChannels channels;
 };
 
-// The samples of one image of a size, by the map that begins at a unit of its block.
+// The samples of one image of a size, by the map of another one that begins at a unit of its block.
 template <class S>
-KV_HD void select_mapped(S& p, int b, uint32_t map, MappedChannels const& channels, Size size) {
-  select_sample(p, b, size, size);
+KV_HD void select_mapped(S& p, int b, uint32_t map, MappedChannels const& channels, Size source, Size size) {
+  select_sample(p, b, source, size);
   if (p.fill && channels.only >= 0) p.fill += channels.only * p.fill_channel_stride;
   auto& along_x = p.coords.x;
   along_x.data += int64_t(kBlockUnit) * map;
@@ -67,20 +76,20 @@ KV_HD void select_mapped(S& p, int b, uint32_t map, MappedChannels const& channe
 
 template <class T>
 KV_HD void set_sample(Sample<T>& one, RemapList<T> const& p, int b) {
-  ListedImage const& image = p.list.images[b];
-  ListedResult const result{p.list.results[b], image.height, image.width};
-  select_mapped(one, b, p.list.maps[b], p.channels, {image.height, image.width});
+  ListedImage const image = p.list.images[b].listed();
+  ListedResult const& result = p.list.results[b];
+  select_mapped(one, b, p.list.maps[b], p.channels, {image.height, image.width}, {result.height, result.width});
   one.x = p.channels.of(images_of<T>(image, p.channels.count));
   one.y = p.channels.of(images_of<T>(result, p.channels.count, p.list.interleaved));
 }
 
 template <class T>
 KV_HD void set_sample(SampleImageBackward<T>& one, RemapListBackward<T> const& p, int b) {
-  ListedImage const& grad = p.list.images[b];
-  select_mapped(one, b, p.list.maps[b], p.channels, {grad.height, grad.width});
+  ListedImage const grad = p.list.images[b].listed();
+  ListedResult const& image = p.list.results[b];
+  select_mapped(one, b, p.list.maps[b], p.channels, {image.height, image.width}, {grad.height, grad.width});
   one.grad = p.channels.of(images_of<T>(grad, p.channels.count));
-  auto const sums = p.channels.of(
-      images_of<Compute<T>>(ListedResult{p.list.results[b], grad.height, grad.width}, p.channels.count, false));
+  auto const sums = p.channels.of(images_of<Compute<T>>(image, p.channels.count, false));
   one.sums = sums.data;
   // On the CPU, where these are of one type, the sums are the gradient.
   one.grad_x = {reinterpret_cast<T*>(sums.data),

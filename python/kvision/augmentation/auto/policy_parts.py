@@ -55,13 +55,13 @@ class PolicyParts(PartsOfImages):
     def moves(self) -> Moves:
         """What boxes and points follow."""
         sides = self._sides
-        return Moves([Move(matrix, sides, sides) for matrix in self._matrices], sides)
+        return Moves([Move([matrix], sides, sides) for matrix in self._matrices], sides)
 
     def moved_masks(self, masks: Any, reading: Any) -> list[Tensor] | None:
         """Masks (N, h, w) of each image by the launches of a batch; None where they follow the calls of the images."""
         sides = self._sides
         given = checked_masks(masks, sides)
-        steps = [LabelStep((), matrix, BILINEAR, sides, sides) for matrix in self._matrices]
+        steps = [LabelStep((), [matrix], BILINEAR, sides, sides) for matrix in self._matrices]
         return None if given is None else move_masks(given, _Steps(steps), reading)
 
     @property

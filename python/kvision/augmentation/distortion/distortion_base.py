@@ -20,7 +20,6 @@ from kvision.augmentation.warp_and_color import Resampling
 from kvision.constants import AnyResample, AnySamplePadding, Resample, SamplePadding
 from kvision.geometry.transform.lists.arguments import like_batch
 from kvision.geometry.transform.lists.arguments import sizes as sides_of
-from kvision.geometry.transform.lists.remap_list import repeated
 
 
 class MapAugmentation(AugmentationBase2D, keeps_contract=True):
@@ -116,24 +115,6 @@ class MapAugmentation(AugmentationBase2D, keeps_contract=True):
         resampling = self.resampling(flags).for_labels(fill=flags.get("mask_fill"))
         moved = maps.read_labels_displaced(masks, self.displacements_of(execution, flags, masks), resampling)
         return where_chosen(execution.chosen, moved, masks)
-
-    def _displace_mask_list(
-        self,
-        masks: Sequence[Tensor],
-        owners: Sequence[int] | None,
-        sides: Sequence[int],
-        execution: Execution,
-        reading: Any,
-    ) -> list[Tensor]:
-        """Masks (N, H, W) moved as the images were, of which `sides` has height and width, in the way a container reads them.
-
-        They are those of all images, or of the images whose numbers are `owners`.
-        """
-        dtype = compute_dtype(maps.exact(masks[0][:0]))
-        moved = self._maps_of_list(sides, execution, masks[0].new_empty(len(sides) // 2, 0, dtype=dtype))
-        moved = moved if owners is None else repeated(moved, sides, owners)
-        flags = self.flags if reading.mode is None else {**self.flags, "resample": reading.mode}
-        return maps.read_labels_displaced_list(masks, moved, self.resampling(flags).for_labels(fill=reading.fill))
 
     def transform_points(self, points: Tensor, execution: Execution) -> Tensor:
         if not execution.applied or 0 in points.shape:

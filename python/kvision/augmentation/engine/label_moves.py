@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from kvision._constants import on_device
-from kvision.augmentation.engine.lists import MapOfList, OnList, SizeOfEach
+from kvision.augmentation.engine.lists import OnList, SizeOfEach
 from kvision.augmentation.engine.stages import Chain, Stage
 from kvision.augmentation.labels import (
     around_outlines,
@@ -157,7 +157,7 @@ class LabelMoves:
 
     def _clipped_without_map(self, corners: Tensor, moved: Tensor) -> tuple[Tensor, Any]:
         """Boxes that no map moves, and their visible fractions: of images of a list that went through none they are cut off."""
-        through = [stage for stage in self.stages if isinstance(stage, MapOfList)] if self.clips else []
+        through = [stage for stage in self.stages if isinstance(stage, OnList) and stage.maps()] if self.clips else []
         has_map = _members(moved, through) if through else None
         if has_map is None:
             return moved, 1.0
@@ -190,9 +190,7 @@ class LabelMoves:
         for i, stage in reversed(list(enumerate(self.stages))):
             assert isinstance(stage, OnList)
             through = _numbers(self.stages[:i], stage) if i > 0 else set()
-            own = stage.read(like, [through is None or sample in through for sample in everything])
-            if own is not None:
-                readings.append(own)
+            readings += stage.readings(like, [through is None or sample in through for sample in everything])
         before = self.chain.source_size()
         assert isinstance(before, SizeOfEach)
         sizes = zip(sides[::2], sides[1::2], before.sides[::2], before.sides[1::2])

@@ -132,7 +132,7 @@ def _runs(module: Any, images: Sequence[Tensor], context: CallContext) -> bool:
     has_bytes_and_floats = images[0].dtype == torch.uint8 and any(
         m._result_dtype(torch.uint8) != torch.uint8 for m in module.modules() if isinstance(m, AugmentationBase)
     )
-    return not has_bytes_and_floats and context.output == SAME and not context.once and not is_compiling()
+    return not has_bytes_and_floats and context.output == SAME and not is_compiling()
 
 
 def _takes_lists(container: Any) -> bool:
@@ -284,7 +284,7 @@ class _Still(NamedTuple):
     samples: Sequence[int]
 
     def moves(self) -> Moves:
-        return Moves([Move(None, self.sides, self.sides, self.samples)] if self.samples else [], self.sides)
+        return Moves([Move((), self.sides, self.sides, self.samples)] if self.samples else [], self.sides)
 
     def moved_masks(self, masks: Any, reading: MaskReading) -> Any:
         return masks

@@ -8,25 +8,15 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from kvision._constants import on_device
 from kvision._dtype import as_dtype, compute_dtype
 from kvision.augmentation.engine.label_settings import LabelSettings
-from kvision.augmentation.engine.lists import (
-    CropOfList,
-    MapOfList,
-    OnList,
-    Round,
-    SizeOfEach,
-    WarpOfList,
-    with_sides,
-)
-from kvision.augmentation.engine.passes import Alone
+from kvision.augmentation.engine.lists import Link, ListMap, OnList, Round, SizeOfEach, with_sides
+from kvision.augmentation.engine.passes import Alone, Composition, Step
 from kvision.augmentation.engine.sized import SIZES, ImagesOfList
 from kvision.augmentation.engine.stages import Stage
 from kvision.augmentation.sample_rows import index_of
-from kvision.augmentation.transforms import transform_matrix
+from kvision.augmentation.transforms import MatrixPlan, transform_matrix
 from kvision.augmentation.warp_and_color import Resampling
-from kvision.geometry.transform.lists.remap_list import repeated
 
 
 class LabelStep(NamedTuple):
@@ -34,14 +24,14 @@ class LabelStep(NamedTuple):
 
     Attributes:
         numbers: its augmentations, by their numbers in the run; none of a policy, whose steps have matrices.
-        matrix: (B, 3, 3); None for an augmentation that leaves labels, or changes them by its own methods.
+        links: that move pixels; none of an augmentation that leaves labels, or changes them by its own methods.
         resampling: of images; None for one augmentation, which says how it reads masks.
         before: height and width of each image before it.
         after: those of its results.
     """
 
     numbers: Sequence[int]
-    matrix: Tensor | None
+    links: Sequence[Link]
     resampling: Resampling | None
     before: Sequence[int]
     after: Sequence[int]
@@ -50,7 +40,7 @@ class LabelStep(NamedTuple):
 def label_steps(
     modules: Sequence[Any],
     calls: Iterable[Any],
-    steps: Sequence[Any],
+    steps: Sequence[Step],
     columns: Tensor | None,
     of_list: ImagesOfList,
     like: Tensor,
@@ -77,54 +67,53 @@ def label_steps(
             after = [*size] * len(like)
         elif of_list.sized.changes(numbers):
             after = of_list.sized.sides_after(numbers, sides)
-        matrix = transform_matrix(columns, step.chain) if step.chain else None
-        if matrix is None and hasattr(module, "_motion_of_list") and not module.has_known_size:
+        links = _links(step, modules, columns, of_list, execution)
+        if hasattr(module, "_motion_of_list") and not module.has_known_size:
             matrix, after = module._motion_of_list(sides, execution(number), like)
-        found.append(LabelStep(numbers, matrix, resampling, sides, after))
+            links = [matrix]
+        found.append(LabelStep(numbers, links, resampling, sides, after))
         sides = after
     return found
 
 
-class ListMap(NamedTuple):
-    """Maps of images of a list.
+def _links(
+    step: Step,
+    modules: Sequence[Any],
+    columns: Tensor,
+    of_list: ImagesOfList,
+    execution: Callable[[int], Any],
+) -> list[Link]:
+    """What a step moves pixels by."""
 
-    Attributes:
-        make: gives them like a tensor, as `remap_list` takes them.
-        chosen: (B,) bool, the images that are displaced; None for all.
-        sides: height and width of each image.
-    """
+    def map_of(number: int) -> ListMap:
+        own, count = execution(number), len(columns)
+        sides = of_list.sides_before(number, own.shape)
 
-    make: Callable[[Tensor], Tensor]
-    chosen: Tensor | None
-    sides: Sequence[int]
+        def make(like: Tensor) -> Tensor:
+            maps: Tensor = modules[number]._maps_of_list(sides, own, like.new_empty(count, 0))
+            return maps
 
-    def of_rows(self, rows: Sequence[int]) -> ListMap:
-        """The maps of some of these images."""
-        chosen = None if self.chosen is None else self.chosen.index_select(0, index_of(rows, self.chosen))
-        sides = [n for i in rows for n in self.sides[2 * i : 2 * i + 2]]
-        return ListMap(lambda like: repeated(self.make(like), self.sides, rows), chosen, sides)
+        return ListMap(make, None if own.chosen is None else own.chosen.expand(count), sides)
 
-    def chosen_of(self, samples: Sequence[int], count: int, device: torch.device) -> Tensor:
-        """Which of `count` images (B,) are displaced if these are the samples."""
-        if self.chosen is None:
-            return on_device(torch.tensor([i in samples for i in range(count)], device="cpu"), device)
-        none = torch.zeros(count, dtype=torch.bool, device=device)
-        return none.index_copy(0, index_of(samples, none), self.chosen.to(device))
+    if isinstance(step, Composition):
+        return [link.matrix(columns) if isinstance(link, MatrixPlan) else map_of(link) for link in step.links]
+    if isinstance(step, Alone) and modules[step.number].moves_by_map and modules[step.number]._knows_maps_of_lists:
+        return [map_of(step.number)]
+    return [transform_matrix(columns, step.chain)] if step.chain else []
 
 
 class Move(NamedTuple):
     """A step on some images of a list: all, where `samples` is None. Sizes are height and width of all images around it.
 
-    It has matrices, maps, or neither where nothing moves. `crops`, one bool of each, are the images of which boxes with centers
-    outside of the results are removed.
+    It has links, or none where nothing moves. `crops`, one bool of each, are the images of which boxes with centers outside of the
+    results are removed.
     """
 
-    matrix: Tensor | None
+    links: Sequence[Link]
     before: Sequence[int]
     after: Sequence[int]
     samples: Sequence[int] | None = None
     crops: Tensor | None = None
-    map: ListMap | None = None
 
     def of_some(self, samples: Sequence[int], sides: Sequence[int]) -> Move:
         """The same as a step on some images of a list of these sizes."""
@@ -133,33 +122,33 @@ class Move(NamedTuple):
 
     def of_rows(self, rows: Sequence[int]) -> Move:
         """The step on some of its images."""
-        own_map, matrix, crops = self.map, self.matrix, self.crops
-        if matrix is not None:
-            index = index_of(rows, matrix)
-            matrix = matrix.index_select(0, index)
-            crops = None if crops is None else crops.index_select(0, index)
-        own_map = None if own_map is None else own_map.of_rows(rows)
+        links = [
+            link.index_select(0, index_of(rows, link)) if isinstance(link, Tensor) else link.of_rows(rows)
+            for link in self.links
+        ]
+        crops = None if self.crops is None else self.crops.index_select(0, index_of(rows, self.crops))
         samples = rows if self.samples is None else [self.samples[i] for i in rows]
-        return Move(matrix, self.before, self.after, samples, crops, own_map)
+        return Move(links, self.before, self.after, samples, crops)
 
-    def stage(self, device: torch.device) -> Stage:
+    def stage(self, device: torch.device) -> OnList:
         """The same as a stage of all images."""
-        matrix, crops, samples, count = self.matrix, self.crops, self.samples, len(self.before) // 2
-        before, after = SizeOfEach(self.before, device), SizeOfEach(self.after, device)
-        if self.map is not None:
-            chosen = self.map.chosen if samples is None else self.map.chosen_of(samples, count, device)
-            return MapOfList(before, after, samples, self.map.make, chosen)
-        if matrix is None:
-            return OnList(before, after, samples)
+        samples, sides, links, crops = self.samples, self.before, self.links, self.crops
         if samples is not None:
-            identity = torch.eye(3, dtype=matrix.dtype, device=matrix.device).expand(count, 3, 3)
-            matrix = identity.index_copy(0, index_of(samples, matrix), matrix)
+            count = len(sides) // 2
+            links = [
+                _among(samples, torch.eye(3, dtype=link.dtype, device=link.device).expand(count, 3, 3), link)
+                if isinstance(link, Tensor)
+                else link.among(samples, sides, device)
+                for link in links
+            ]
             if crops is not None:
-                none = torch.zeros(count, dtype=torch.bool, device=crops.device)
-                crops = none.index_copy(0, index_of(samples, crops), crops)
-        if crops is not None:
-            return CropOfList(before, after, samples, matrix, crops)
-        return WarpOfList(before, after, samples, matrix)
+                crops = _among(samples, crops.new_zeros(count), crops)
+        return OnList(SizeOfEach(sides, device), SizeOfEach(self.after, device), samples, links, crops)
+
+
+def _among(samples: Sequence[int], others: Tensor, own: Tensor) -> Tensor:
+    """Rows of all images, of which those of samples are given."""
+    return others.index_copy(0, index_of(samples, own), own)
 
 
 class Inside(NamedTuple):
@@ -288,33 +277,20 @@ def moves_of_run(run: Any) -> Moves | None:
     sides = run.sides
     for step in run.label_steps:
         crops: Tensor | None = None
-        own_map: ListMap | None = None
         for number in step.numbers:
             module = run.modules[number]
-            by_matrix = step.matrix is not None and module._warps_points
-            if module.moves_by_map and module._knows_maps_of_lists:
-                own_map = _map_of_run(run, number, step.before)
-            elif not (module.keeps_positions or by_matrix):
+            is_map = module.moves_by_map and module._knows_maps_of_lists
+            if not (is_map or module.keeps_positions or (step.links and module._warps_points)):
                 return None
             if module.removes_boxes:
                 if not all(n == number or _permutes_pixels(run.modules[n]) for n in step.numbers):
                     return None  # a box may leave the image in another one
                 chosen = run.execution(number).chosen
-                crops = step.matrix.new_ones(len(step.matrix), dtype=torch.bool) if chosen is None else chosen
-        moves.append(Move(step.matrix, step.before, step.after, None, crops, own_map))
+                count = len(step.before) // 2
+                crops = torch.ones(count, dtype=torch.bool, device=run.device) if chosen is None else chosen
+        moves.append(Move(step.links, step.before, step.after, None, crops))
         sides = step.after
     return Moves(moves, sides)
-
-
-def _map_of_run(run: Any, number: int, sides: Sequence[int]) -> ListMap:
-    """The maps of an augmentation of a run, by height and width of the images before it."""
-    execution, count = run.execution(number), len(sides) // 2
-
-    def make(like: Tensor) -> Tensor:
-        maps: Tensor = run.modules[number]._maps_of_list(sides, execution, like.new_empty(count, 0))
-        return maps
-
-    return ListMap(make, None if execution.chosen is None else execution.chosen.expand(count), sides)
 
 
 def _permutes_pixels(module: Any) -> bool:

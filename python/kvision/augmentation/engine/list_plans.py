@@ -23,7 +23,7 @@ from kvision.augmentation.draws import HEADER, MAX_DRAWS, MAX_NUMBERS, SIZED, Dr
 from kvision.augmentation.engine.call_context import CallContext
 from kvision.augmentation.engine.execution import Execution, Params
 from kvision.augmentation.engine.parts import params_of_rows
-from kvision.augmentation.engine.passes import Alone, Covering, Joined, Step
+from kvision.augmentation.engine.passes import Alone, Composition, Covering, Joined, Step
 from kvision.augmentation.engine.record import Child
 from kvision.augmentation.engine.run_plans import RunPlan, plan_run
 from kvision.augmentation.engine.sized import (
@@ -39,6 +39,7 @@ from kvision.augmentation.engine.sized import (
 )
 from kvision.augmentation.keys import Keys
 from kvision.augmentation.sample_rows import numbers_by, read_rows
+from kvision.augmentation.transforms import MatrixPlan
 from kvision.geometry.transform.lists.arguments import like_batch
 from kvision.geometry.transform.lists.arguments import sizes as sides_of
 
@@ -189,7 +190,9 @@ def _make_plan(
                 drawn = DrawnListPass(own, places, of_each, changes, first.image_pass, like.shape, like.dtype)
         elif begins_with_batch and isinstance(run.drawn, DrawnPass) and run.calls[0].number is not None:
             drawn = run.drawn if _draws_windows(sized) else None
-    reads_executions = run.derives or len(run.steps) > steps or any(isinstance(step, Alone) for step in run.steps)
+    reads_executions = (
+        run.derives or len(run.steps) > steps or any(isinstance(step, (Alone, Composition)) for step in run.steps)
+    )
     flags = begins_with_batch, begins_with_batch or reads_executions
     of_labels = None if has_inputs else sized.numbers(has_draws=False)
     before = _steps_before(modules, run, sized) if run.derives else {}
@@ -223,8 +226,12 @@ def _draws_windows(sized: Sized) -> bool:
 
 def takes_list(step: Step, modules: Sequence[Any], dtype: torch.dtype) -> bool:
     """Whether a step, of those of a run on images of a type, is one operator on the images of a list."""
-    if not isinstance(step, Alone):
-        return isinstance(step, (Joined, Covering))
+    if isinstance(step, (Joined, Covering)):
+        return True
+    if isinstance(step, Composition):
+        return not step.antialias and all(
+            isinstance(link, MatrixPlan) or modules[link]._knows_maps_of_lists for link in step.links
+        )
     for module in modules[: step.number]:
         dtype = module._result_dtype(dtype)
     takes: bool = modules[step.number]._operates_on(dtype)

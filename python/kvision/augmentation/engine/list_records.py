@@ -16,7 +16,7 @@ from kvision.augmentation.engine.label_settings import MaskReading
 from kvision.augmentation.engine.list_moves import Moves, joined_moves, moves_of_run
 from kvision.augmentation.engine.lists import with_sides
 from kvision.augmentation.engine.parts import Parts
-from kvision.augmentation.engine.passes import Alone, Composition, Running, plan_steps
+from kvision.augmentation.engine.passes import Alone, Running, plan_steps
 from kvision.augmentation.engine.record import Child, Record
 from kvision.augmentation.engine.runs import replayed
 from kvision.augmentation.engine.stages import Chain, Stage
@@ -107,7 +107,7 @@ def record_of_run(
     for step in plan_steps(modules, executions, context.once, like.dtype, context.output):
         if isinstance(step, Alone):
             stages.append(running.applied(step.number))
-        elif not isinstance(step, Composition) and (stage := step.replayed(like, running)) is not None:
+        elif (stage := step.replayed(like, running)) is not None:
             stages.append(stage)
     record = Record(shape, children, Chain(stages))
     for execution, module in zip(executions, modules):

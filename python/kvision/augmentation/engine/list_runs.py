@@ -95,13 +95,10 @@ class ListRun(ImagesOfList):
     def sizes_before(self, number: int) -> Tensor:
         """Height and width (B, 2) of images before an augmentation."""
         sides = torch.tensor(self._sides_before(number), dtype=torch.float32, device="cpu")
-        return on_device(sides.view(-1, 2), self.device).expand(self.shape[0], 2)
+        return on_device(sides.view(-1, 2), self.device)
 
     def _sides_before(self, number: int) -> Sequence[int]:
-        """The same as numbers, of all images at once where they have one size."""
-        if number > self.sized.own:
-            return self.plan.run.calls[number].shape[2:]
-        return self.sized.sides_after(range(number), self.sides)
+        return self.sides_before(number, self.plan.run.calls[number].shape)
 
     def labels_before(self, number: int, columns: Tensor) -> Any:
         """What an augmentation reads of the labels, with the columns of the run that are known by then."""
@@ -391,8 +388,7 @@ class ListReplay:
         executions, columns = replayed(like.new_empty(1).expand(shape), children)
         of_list = ImagesOfList(plan.sized, sides_of(images))
         for number, (child, execution) in enumerate(zip(children, executions)):
-            has_one_size = number > plan.sized.own
-            own = execution.shape[2:] if has_one_size else plan.sized.sides_after(range(number), of_list.sides)
+            own = of_list.sides_before(number, execution.shape)
             check_maps_of_params(type(child.module).__name__, child.params, own)
         if columns is not None:
             columns = columns_of_sizes(plan.sized, children, executions, columns, of_list.sides)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -12,11 +12,14 @@ from torch import Tensor
 from kvision._constants import on_device
 from kvision.augmentation import labels
 from kvision.augmentation.engine.label_settings import LabelSettings, MaskReading
-from kvision.augmentation.engine.stages import INSIDE, ByMatrix, Nested, Stage, Warp
+from kvision.augmentation.engine.stages import INSIDE, Nested, Stage, Warp
 from kvision.augmentation.labels import is_within
 from kvision.augmentation.maps import exact, exact_each, warp_each, warp_to_sizes
 from kvision.augmentation.preimages.result_map_list import NodeReading, displaced
+from kvision.augmentation.sample_rows import index_of
 from kvision.core.exceptions import ShapeError
+from kvision.geometry.linalg import transform_points
+from kvision.geometry.transform.lists.remap_list import repeated
 
 
 class SizeOfEach(Sequence[Tensor]):
@@ -52,13 +55,57 @@ def with_sides(sides: Sequence[int], samples: Sequence[int], own: Sequence[int])
     return every
 
 
+class ListMap(NamedTuple):
+    """Maps of images of a list.
+
+    Attributes:
+        make: gives them like a tensor, as `remap_list` takes them.
+        chosen: (B,) bool, the images that are displaced; None for all.
+        sides: height and width of each image.
+    """
+
+    make: Callable[[Tensor], Tensor]
+    chosen: Tensor | None
+    sides: Sequence[int]
+
+    def of_rows(self, rows: Sequence[int]) -> ListMap:
+        """The maps of some of these images."""
+        chosen = None if self.chosen is None else self.chosen.index_select(0, index_of(rows, self.chosen))
+        sides = [n for i in rows for n in self.sides[2 * i : 2 * i + 2]]
+        return ListMap(lambda like: repeated(self.make(like), self.sides, rows), chosen, sides)
+
+    def among(self, samples: Sequence[int], sides: Sequence[int], device: torch.device) -> ListMap:
+        """Those of images of which these are the samples; the others, of which there are `sides`, have none."""
+        count = len(sides) // 2
+        if self.chosen is None:
+            chosen = on_device(torch.tensor([i in samples for i in range(count)], device="cpu"), device)
+        else:
+            none = torch.zeros(count, dtype=torch.bool, device=device)
+            chosen = none.index_copy(0, index_of(samples, none), self.chosen.to(device))
+        return ListMap(self.make, chosen, with_sides(sides, samples, self.sides))
+
+
+Link = Tensor | ListMap  # of a chain: matrices (B, 3, 3), or maps
+
+
 @dataclass
 class OnList(Stage):
-    """A step on images of a list, all or some, which had a size each before it, that moves no pixels."""
+    """A step on images of a list, all or some, which had a size each before it. Links move their pixels."""
 
     before: SizeOfEach
     after: SizeOfEach
     samples: Sequence[int] | None
+    links: Sequence[Link] = ()  # of all images, but with maps of these samples
+    crops: Tensor | None = None  # (B,) bool, the images of which boxes are removed whose centers leave them
+    _maps: dict[int, Tensor] = field(default_factory=dict)  # by the numbers of links
+
+    @property
+    def keeps_lines(self) -> bool:
+        return not self.maps()
+
+    @property
+    def removes_boxes(self) -> bool:
+        return self.crops is not None
 
     def members(self) -> Sequence[int] | None:
         return self.samples
@@ -69,68 +116,58 @@ class OnList(Stage):
     def result_size(self) -> SizeOfEach:
         return self.after
 
-    def read(self, like: Tensor, bounded: Sequence[bool]) -> NodeReading | None:
-        """How it reads nodes, in the type and on the device of `like`; None where it moves nothing."""
-        return None
-
-
-@dataclass
-class WarpOfList(ByMatrix, OnList):
-    """Images of a list moved by matrices."""
-
-    def read(self, like: Tensor, bounded: Sequence[bool]) -> NodeReading:
-        back = torch.linalg.inv_ex(self.matrix).inverse.to(like)
-        return NodeReading(back, self.before.sides, [False] * len(bounded), bounded)
-
-
-@dataclass
-class MapOfList(OnList):
-    """Images of a list, all or some of them, moved by a map each."""
-
-    make: Callable[[Tensor], Tensor]  # gives the maps of its samples, like a tensor
-    chosen: Tensor | None  # (B,) bool, those that are displaced; None for all
-    _maps: Tensor | None = None
-
-    @property
-    def keeps_lines(self) -> bool:
-        return False
-
-    @property
-    def moved(self) -> list[bool]:
-        """Which images have a map."""
-        return [self.samples is None or i in self.samples for i in range(len(self.before.sides) // 2)]
-
     def maps(self) -> list[Tensor | None]:
-        return [self.chosen]
+        return [link.chosen for link in self.links if isinstance(link, ListMap)]
+
+    def move_points(self, points: Tensor) -> Tensor:
+        for link in self.links:
+            if isinstance(link, Tensor):
+                points = transform_points(link.to(points), points)
+        return points
 
     def move_points_back(self, points: Tensor) -> Tensor:
-        return displaced(points, self._known(points), self.before.sides, self.moved)
+        for number, link in reversed([*enumerate(self.links)]):
+            if isinstance(link, Tensor):
+                points = transform_points(torch.linalg.inv_ex(link).inverse.to(points), points)
+            else:
+                points = displaced(points, self._known(number, points), link.sides, self._moved)
+        return points
 
-    def read(self, like: Tensor, bounded: Sequence[bool]) -> NodeReading:
-        return NodeReading(self._known(like), self.before.sides, self.moved, bounded)
-
-    def forget(self) -> None:
-        self._maps = None
-
-    def _known(self, like: Tensor) -> Tensor:
-        if self._maps is None or self._maps.device != like.device or self._maps.dtype != like.dtype:
-            self._maps = self.make(like)
-        return self._maps
-
-
-@dataclass
-class CropOfList(WarpOfList):
-    """Images of a list cropped, some so that boxes whose centers are outside are removed."""
-
-    crops: Tensor  # (B,) bool
-
-    @property
-    def removes_boxes(self) -> bool:
-        return True
-
-    def keeps_centers(self, centers: Tensor) -> Tensor:
+    def keeps_centers(self, centers: Tensor) -> Tensor | None:
+        if self.crops is None:
+            return None
         inside = is_within(self.move_points(centers), self.after, INSIDE)
         return inside | ~self.crops.to(inside.device)[:, None]
+
+    def readings(self, like: Tensor, bounded: Sequence[bool]) -> list[NodeReading]:
+        """How nodes are read, in the type and on the device of `like`, by the last link first.
+
+        Positions outside of `bounded` images show nothing; those between links do.
+        """
+        none, found = [False] * len(bounded), list[NodeReading]()
+        for number, link in reversed([*enumerate(self.links)]):
+            own = none if number else bounded
+            if isinstance(link, Tensor):
+                back = torch.linalg.inv_ex(link).inverse.to(like)
+                found.append(NodeReading(back, self.before.sides, none, own))
+            else:
+                found.append(NodeReading(self._known(number, like), link.sides, self._moved, own))
+        return found
+
+    def forget(self) -> None:
+        self._maps.clear()
+
+    @property
+    def _moved(self) -> list[bool]:
+        """Which images have maps."""
+        return [self.samples is None or i in self.samples for i in range(len(self.before.sides) // 2)]
+
+    def _known(self, number: int, like: Tensor) -> Tensor:
+        own, link = self._maps.get(number), self.links[number]
+        if own is None or own.device != like.device or own.dtype != like.dtype:
+            assert isinstance(link, ListMap)
+            own = self._maps[number] = link.make(like)
+        return own
 
 
 class Round(Nested):

@@ -26,7 +26,7 @@ from kvision.augmentation.engine.executor import Executor
 from kvision.augmentation.engine.lists import ListWarp
 from kvision.augmentation.engine.sized import ImagesOfList, Sized
 from kvision.augmentation.engine.stages import Applied, ByMatrix, Composed, Stage, Warp
-from kvision.augmentation.maps import warp_covered, warp_covered_each
+from kvision.augmentation.maps import read_composed_list, warp_covered, warp_covered_each
 from kvision.augmentation.samples import where_chosen
 from kvision.augmentation.transforms import MAX_TRANSFORMS, MatrixPlan, Transform, keeps_rows, transform_matrix
 from kvision.augmentation.warp_and_color import SAME, ColorPart, Output, Pass, Resampling, fits_one_program, make_pass
@@ -221,8 +221,32 @@ class Composition(NamedTuple):
     resampling: Resampling
     antialias: bool
 
-    def run(self, x: Tensor, running: Running) -> tuple[Tensor, Stage | None]:
-        columns = running.columns_for(x, x.shape[0])
+    def run(self, x: Any, running: Running) -> tuple[Any, Stage | None]:
+        if running.of_list is not None and isinstance(x, list):
+            return self._run_list(x, running, running.of_list), None
+        composed = self.replayed(x, running)
+        return composed.run(x), composed
+
+    def _run_list(self, images: list[Tensor], running: Running, of_list: ImagesOfList) -> Any:
+        """The results of a list: a list, or a batch where an augmentation gives all images one size."""
+        count, columns = len(images), running.columns_for(images[0], len(images))
+        links: list[tuple[Tensor, Sequence[int]]] = []
+        for link in self.links:
+            if isinstance(link, MatrixPlan):
+                links.append((link.matrix(columns), ()))
+                continue
+            execution = running.executions[link]
+            sides = of_list.sides_before(link, execution.shape)
+            maps = running.modules[link]._maps_of_list(sides, execution, columns.new_empty(count, 0))
+            links.append((maps, sides))
+        sized = of_list.sized
+        if sized.own in self.geometric:
+            return torch.stack(read_composed_list(images, links, [*self.size] * count, self.resampling))
+        return read_composed_list(images, links, sized.sizes_after(self.geometric, images), self.resampling)
+
+    def replayed(self, like: Tensor, running: Running) -> Composed:
+        """As that of :class:`Joined`."""
+        columns = running.columns_for(like, running.executions[0].shape[0])
         drawn = None if running.links is None else list(running.links)
         running.links = None
         links: list[ByMatrix | Applied] = []
@@ -234,8 +258,7 @@ class Composition(NamedTuple):
             if drawn is not None:
                 drawn[i] = where_chosen(running.executions[link].chosen, drawn[i], 0.0)
         sizes, parts = (self.source, self.size), running.parts(self.geometric)
-        composed = Composed(*sizes, self.resampling, links, self.antialias, drawn, parts=parts)
-        return composed.run(x), composed
+        return Composed(*sizes, self.resampling, links, self.antialias, drawn, parts=parts)
 
     def drawn_with(self, draws: DrawPlan, x: Tensor, noise_field: NoiseFields) -> DrawnLinks | None:
         """The draws with the links by one kernel; None if it does not serve all."""

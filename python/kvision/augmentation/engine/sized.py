@@ -256,6 +256,12 @@ class ImagesOfList:
             self._sides = self._sides.flatten().tolist()
         return self._sides
 
+    def sides_before(self, number: int, shape: Shape) -> Sequence[int]:
+        """Height and width of each image before an augmentation, which gets images of a shape where all have one size."""
+        if number > self.sized.own:
+            return [*shape[2:]] * (len(self.sides) // 2)
+        return self.sized.sides_after(range(number), self.sides)
+
 
 def listed(numbers: SizedNumbers | NumbersOfEach, sides: Sequence[int]) -> list[float]:
     """The numbers for height and width of the first image, the second, ..."""

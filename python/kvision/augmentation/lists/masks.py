@@ -12,7 +12,13 @@ from torch import Tensor
 
 from kvision._dtype import as_dtype, compute_dtype
 from kvision.augmentation import labels
-from kvision.augmentation.maps import as_type_of_each, exact_each, warp_to_sizes
+from kvision.augmentation.maps import (
+    as_type_of_each,
+    exact_each,
+    read_labels_composed_list,
+    read_labels_displaced_list,
+    warp_to_sizes,
+)
 from kvision.augmentation.sample_rows import index_of
 from kvision.core.exceptions import ShapeError
 from kvision.geometry.transform.lists.arguments import sizes
@@ -95,23 +101,42 @@ def _moved(
     """The same of masks of one N: those of all images, or of the images whose numbers are `owners`."""
     if any(m._is_overridden("apply_transform_mask") for m in run.modules):
         return None
-    for numbers, matrix, resampling, before, size in steps:
+    for numbers, links, resampling, _, size in steps:
         module: Any = run.modules[numbers[0]] if numbers else None
-        if matrix is None and module.moves_by_map:
-            masks = module._displace_mask_list(masks, owners, before, run.execution(numbers[0]), reading)
-            continue
-        if matrix is None:
+        if not links:
             moved = module._move_mask_list(masks, run.execution(numbers[0], owners), reading.fill)
             if moved is None:
                 return None
             masks = moved
             continue
         if resampling is None:  # of one augmentation, which reads them by its own rule
-            if not getattr(module, "_warps_masks", False):
+            if not (module.moves_by_map or getattr(module, "_warps_masks", False)):
                 return None
             resampling = module.resampling(module.flags)
         if owners is not None:
-            matrix = matrix.index_select(0, index_of(owners, matrix))
             size = [n for b in owners for n in size[2 * b : 2 * b + 2]]
-        masks = warped_masks(masks, matrix, size, resampling.for_labels(reading.mode, reading.fill))
+        masks = _read(masks, links, owners, size, resampling.for_labels(reading.mode, reading.fill))
     return masks
+
+
+def _read(
+    masks: list[Tensor], links: Sequence[Any], owners: Sequence[int] | None, size: Sequence[int], resampling: Any
+) -> list[Tensor]:
+    """Masks (N, H, W) read by links of their images, or of the `owners` of each."""
+    first, values = links[0], exact_each([masks[0][:0]])[0]
+    is_one_map = len(links) == 1 and not isinstance(first, Tensor)
+    # Coordinates of masks that are no numbers are those of images of 32 bits.
+    computes = compute_dtype(values) if is_one_map or masks[0].is_floating_point() else torch.float32
+    each: list[tuple[Tensor, Sequence[int]]] = []
+    for link in links:
+        if isinstance(link, Tensor):
+            each.append((link if owners is None else link.index_select(0, index_of(owners, link)), ()))
+        else:
+            own = link if owners is None else link.of_rows(owners)
+            each.append((own.make(values.new_empty(0, dtype=computes)), own.sides))
+    if len(each) > 1:
+        in_type = [(link.to(values.device, computes), sides) for link, sides in each]
+        return read_labels_composed_list(masks, in_type, size, resampling)
+    if is_one_map:
+        return read_labels_displaced_list(masks, each[0][0], resampling)
+    return warped_masks(masks, each[0][0], size, resampling)

@@ -247,6 +247,14 @@ inline constexpr Operator<"composed_warp", Tensor(Tensor image, Tensor a, Option
                                                   int64_t interpolation, int64_t padding, bool align_corners)>
     composed_warp{detail::rules::composed_warp};
 
+// --- geometry/transform/composed/link_coords_list_op.cpp
+
+// Where the pixels of results of a height and width each read before a link: matrices (B, 3, 3), or maps (2, H, W) of
+// sizes `before` it in one tensor; behind it they read at `coordinates`, or at themselves. (2, h, w) of each in one
+// tensor, as remap_list takes them.
+inline constexpr Operator<"link_coords_list", Tensor(Tensor link, OptionalTensor coordinates, Ints before, Ints sides)>
+    link_coords_list{no_gradient};
+
 // --- geometry/transform/flip_op.cpp
 
 inline constexpr Operator<"flip", Tensor(Tensor input, bool columns, bool rows)> flip{

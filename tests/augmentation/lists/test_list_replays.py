@@ -70,6 +70,38 @@ def test_samples_that_are_not_chosen_are_replayed_in_one_launch(device, backend)
     assert all(torch.equal(a, b) for a, b in zip(replayed, results))
 
 
+def on(device, params):
+    """Parameters that lie on a device."""
+    if isinstance(params, list):
+        return [item._replace(data=on(device, item.data)) for item in params]
+    moved = {name: x.to(device) for name, x in params.items() if isinstance(x, torch.Tensor)}
+    return {**params, **moved}
+
+
+@pytest.mark.parametrize("resample", ["each", "once"])
+def test_parameters_on_the_device_are_replayed_in_as_many_launches(resample, device, backend):
+    augment = A.ImageSequential(
+        A.RandomPerspective(p=0.5),
+        A.RandomAffine(20.0, (0.1, 0.1), p=0.7),
+        A.OpticalDistortion(p=0.7),
+        A.RandomErasing(p=0.7),
+        A.RandomCrop((20, 20), p=0.5, pad_if_needed=True),
+        resample=resample,
+    )
+    counts = []
+    for number in (6, 20):
+        images = pictures(device, [(20 + i, 50 - i) for i in range(number)])
+        results = augment(images, seed=seeds_of(images))
+        params = on(device, augment._params)
+        replayed = augment(images, params=params)  # makes plans
+        with Calls() as counted:
+            augment(images, params=params)
+        counts.append(counted.count)
+        for a, b in zip(replayed, results, strict=True):
+            torch.testing.assert_close(a, b, rtol=0, atol=1e-4)
+    assert backend == "reference" or counts[0] == counts[1]
+
+
 def test_replays_leave_the_generator_of_torch_alone(device):
     images, warp = pictures(device), A.RandomPerspective(p=0.5)
     warp(images)

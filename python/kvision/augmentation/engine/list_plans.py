@@ -330,11 +330,15 @@ def columns_of_sizes(
     one, *others = probes.values()
     if all(torch.equal(one, other) for other in others):
         return columns
-    own, at = None, columns.device
-    if all(a is b for a, b in zip(on_host, given)):
-        at = host
-        own = columns_of_sides([columns_at(size, range(count), given, host) for size in CORNERS], probes, sides)
+    is_read = all(a is b for a, b in zip(on_host, given))
+    at = host if is_read else columns.device
+    own = columns_of_sides([columns_at(size, range(count), on_host, host) for size in CORNERS], probes, sides)
+    if own is not None and not is_read:  # linear as those of other numbers are
+        own = columns_of_sides([columns_at(size, range(count), given, at) for size in CORNERS], {}, sides)
     if own is None:
+        if not is_read and not torch.cuda.is_current_stream_capturing():  # waits once, in place of launches for each size
+            given = [{k: x.cpu() if isinstance(x, Tensor) else x for k, x in params.items()} for params in given]
+            at = host
         groups = numbers_by(zip(sides[::2], sides[1::2]))
         each = [
             columns_at(size, rows, [params_of_rows(params, rows, count) for params in given], at)

@@ -271,6 +271,7 @@ def run_list(images: list[Tensor], children: Sequence[Child], context: CallConte
     modules: list[Any] = [child.module for child in children]
     count, seeds, first = len(images), None, modules[0]
     if children[0].params is not None:
+        children = [_with_readable_chances(child) for child in children]
         groups = _given_groups(children, count)
     elif context.is_certain or not any(decides(m) or not m.has_known_size for m in modules):
         groups = [(range(count), [may_apply(m, context.is_certain) for m in modules])]
@@ -317,7 +318,7 @@ def run_list(images: list[Tensor], children: Sequence[Child], context: CallConte
 
 
 def _is_run(images: Sequence[Tensor], children: Sequence[Child], context: CallContext) -> bool:
-    """Whether children draw together in one run, or one reads masks, and parameters that are given can be read on the host."""
+    """Whether children draw together in one run, or one reads masks."""
     runs = runs_of(children, context.plans)
     if len(runs) != 1 or context.seed_of_samples is not context.seed:
         return False
@@ -325,9 +326,7 @@ def _is_run(images: Sequence[Tensor], children: Sequence[Child], context: CallCo
     takes_masks = getattr(module, "needs_masks", False) and not module.mixes_samples
     if children[0].params is None:
         return runs[0][1] or bool(takes_masks and module._takes_masks(images, context))
-    if not (runs[0][1] or takes_masks) or is_compiling() or any(child.samples is not None for child in children):
-        return False
-    return not any(isinstance(x, Tensor) and x.is_cuda for child in children for x in child.params.values())
+    return (runs[0][1] or takes_masks) and not is_compiling() and all(child.samples is None for child in children)
 
 
 def _prepared(
@@ -368,6 +367,15 @@ def _given_groups(children: Sequence[Child], count: int) -> list[tuple[Sequence[
         is_of_each = isinstance(chosen, Tensor) and len(chosen) == count
         columns.append((chosen > 0.5).tolist() if is_of_each else [True] * count)
     return _grouped(columns)
+
+
+def _with_readable_chances(child: Child) -> Child:
+    """A child with given parameters, of which the host reads to which images it is applied where that may change sizes."""
+    module: Any = child.module
+    chosen = child.params.get("batch_prob")
+    if not module.whole_batch or not isinstance(chosen, Tensor) or not chosen.is_cuda:
+        return child
+    return replace(child, params={**child.params, "batch_prob": chosen.cpu()})
 
 
 def _grouped(columns: Sequence[Sequence[bool]]) -> list[tuple[Sequence[int], Sequence[bool]]]:

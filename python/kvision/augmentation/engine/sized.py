@@ -17,6 +17,7 @@ import torch
 from torch import Tensor
 from torch.compiler import is_compiling
 
+from kvision._constants import on_device
 from kvision.augmentation.columns import Column, Span, identity_of
 from kvision.augmentation.draws import Draw, Request
 from kvision.augmentation.engine.call_context import CallContext
@@ -281,8 +282,8 @@ def columns_of_sides(corners: Sequence[Tensor], probes: Mapping[Size, Tensor], s
 
     if not all(torch.equal(at(*size), columns) for size, columns in probes.items()):
         return None
-    height, width = torch.tensor(sides, dtype=torch.float64, device="cpu").view(-1, 2, 1).unbind(1)
-    return at(height, width)
+    own = on_device(torch.tensor(sides, dtype=torch.float64, device="cpu").view(-1, 2, 1), corners[0].device)
+    return at(*own.unbind(1))
 
 
 def _valid(read: Callable[[Size], Any]) -> list[tuple[Size, Any]]:

@@ -286,11 +286,11 @@ __device__ __forceinline__ void run_color(color::Step step, Pixels& pixels) {
   }
 }
 
-// What the block's sample has chosen, for the block's tile of a number, in order.
+// What the block's sample has chosen, for the block's tile of a number, in order from 0 on.
 template <int C, class T, class Vectors>
 __device__ __forceinline__ void apply_to_tile(ApplyOperations<T> const& p, geometry::cuda::TileGrid const& tiles,
                                               int number, Vectors vectors) {
-  __shared__ geometry::cuda::Tile<float> sampled;
+  __shared__ geometry::cuda::Tile<float> sampled[geometry::kMaxTilesPerBlock];
   __shared__ float tables[C][kLevels];
   geometry::cuda::Tile<float> tile;
   tile.locate(tiles, number);
@@ -301,8 +301,10 @@ __device__ __forceinline__ void apply_to_tile(ApplyOperations<T> const& p, geome
   int const channels = channels_of<C>(from.channels);
   Operation const operation = p.operation_of(b);
   if (moves_pixels(operation)) {
-    if (t == 0) sampled.init(tiles, p.warp.coords, number);
-    __syncthreads();
+    if (number == 0) {
+      if (t < int(tiles.per_block)) sampled[t].init(tiles, p.warp.coords, t);
+      __syncthreads();
+    }
     int const across = !vectors && sizeof(T) == 4 ? geometry::cuda::kWholeRow : geometry::cuda::kAcross<T>;
     int const x = tile.x + geometry::cuda::column_in_tile(across), y = tile.y + geometry::cuda::row_in_tile(across);
 #pragma unroll 1
@@ -310,7 +312,7 @@ __device__ __forceinline__ void apply_to_tile(ApplyOperations<T> const& p, geome
       if (x < width && y + run * geometry::cuda::kRowStep < height)
 #pragma unroll 1
         for (int k = 0; k < channels; k += C)
-          geometry::cuda::sample_unstaged<2, C>(p.warp, sampled, k, y + run * geometry::cuda::kRowStep, x);
+          geometry::cuda::sample_unstaged<2, C>(p.warp, sampled[number], k, y + run * geometry::cuda::kRowStep, x);
     return;
   }
   float const* const measured = p.measured + b * channels * kMeasured;

@@ -23,7 +23,10 @@ __global__ void __launch_bounds__(kThreads, 4) apply_to_listed_tiles(__grid_cons
     return {one.warp.y.height, one.warp.y.width};
   });
   bool const vectors = has_vectors(block.sample.warp.x) && has_vectors(block.sample.warp.y);
-  for (int number = 0; number < p.tiles_per_block; ++number) {
+  geometry::cuda::Tile<float> first;
+  first.locate(block.tiles, 0);
+  int const columns = int(block.sample.warp.y.width) - first.x;
+  for (int number = 0; number < p.tiles_per_block && number * kTile < columns; ++number) {
     apply_to_tile<C>(block.sample, block.tiles, number, vectors);
     __syncthreads();  // which also keeps what the tiles share out of registers
   }

@@ -6,8 +6,9 @@
 namespace kv::geometry::cuda {
 namespace {
 
-// The warps of a block whose image has three planes: none has no plane.
-constexpr int kColorWarps = 6;
+// The warps of a block whose image has three planes: none has no plane. As many as there is shared memory for.
+// Special case, types of one and two bytes. H200: 1.01 to 1.14 times as fast as six; float32 .94 to 1.15.
+constexpr int kColorWarps = 6, kManyColorWarps = 12;
 
 // The sample that a block takes, and its strips, in shared memory.
 template <class T>
@@ -54,7 +55,7 @@ template <class T, int M, int W>
 int launch(ResizeWindowsList<T>& p, int64_t planes, CUstream_st* stream) {
   using S = StripOf<T, M, true, W>;
   // With few planes of each image, warps that have none cost less than tables of more rows.
-  int const warps_down = W == kColorWarps ? 2 : warps_down_of(planes, 0.35);
+  int const warps_down = W % 3 == 0 ? W / 3 : warps_down_of(planes, 0.35);
   int64_t const groups = ceil_div(planes, int64_t(W / warps_down));
   // A sample that needs as much shared memory as any, and how many strips of columns each one has.
   Resize<T> largest = resize_at(p, 0);
@@ -79,8 +80,10 @@ int launch(ResizeWindowsList<T>& p, int64_t planes, CUstream_st* stream) {
       largest.rows.num = one.rows.num, largest.rows.den = one.rows.den;
   }
   auto const bytes_of = [&](int64_t rows) { return strip_bytes<S, true>(largest, strips, rows); };
-  int64_t const most = most_rows(bytes_of), resident = resident_blocks<S>(bytes_of(most));
-  if (most == 0) return kUnsupported;
+  constexpr bool kMany = W == kManyColorWarps;
+  int64_t const most = most_rows(bytes_of, kMany ? 112 << 10 : 100 << 10),
+                resident = resident_blocks<S>(bytes_of(most));
+  if (most < (kMany ? 8 : 1)) return kUnsupported;
   // Blocks take as long as their images are large: there are some more than run at once.
   height = ceil_div(height, int64_t(warps_down));
   int64_t const rows = min(most, int64_t(32));
@@ -102,7 +105,10 @@ int launch(ResizeWindowsList<T>& p, int64_t planes, CUstream_st* stream) {
 template <class T, int M>
 int launch(ResizeWindowsList<T>& p, CUstream_st* stream) {
   int64_t const planes = p.list.interleaved ? 1 : p.channels;
-  return planes % 3 == 0 ? launch<T, M, kColorWarps>(p, planes, stream) : launch<T, M, 8>(p, planes, stream);
+  if (planes % 3 != 0) return launch<T, M, 8>(p, planes, stream);
+  if constexpr (sizeof(T) < 4)
+    if (int const error = launch<T, M, kManyColorWarps>(p, planes, stream); error != kUnsupported) return error;
+  return launch<T, M, kColorWarps>(p, planes, stream);
 }
 
 }  // namespace

@@ -511,11 +511,12 @@ int64_t strip_bytes(Resize<T> const& p, ResizeStrips const& strips, int64_t rows
          4 * ((p.columns.max_taps + 2) * padded + (p.rows.max_taps + 2) * slots + norms + of_rows);
 }
 
-// Rows of a strip for which there is room, 0 if there is none, where a block has bytes_of(rows) of shared memory.
+// Rows of a strip for which there is room, 0 if there is none, where a block has bytes_of(rows) of shared memory. More
+// than one row is for at most `wanted` bytes.
 template <class BytesOf>
-int64_t most_rows(BytesOf bytes_of) {
+int64_t most_rows(BytesOf bytes_of, int64_t wanted = 100 << 10) {
   int64_t rows = 64;
-  while (rows > 1 && bytes_of(rows) > max_shared_bytes(100 << 10)) rows /= 2;
+  while (rows > 1 && bytes_of(rows) > max_shared_bytes(wanted)) rows /= 2;
   return bytes_of(rows) > max_shared_bytes(200 << 10) ? 0 : rows;
 }
 // Blocks of so much shared memory that run at once.

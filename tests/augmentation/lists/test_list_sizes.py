@@ -167,6 +167,28 @@ def test_equal_sizes_are_decided_for_as_one(device):
             assert all(torch.equal(a, b) for a, b in zip(augment(images, seed=seed), batch))
 
 
+@pytest.mark.parametrize(
+    "augment",
+    [
+        A.OneOf(A.PadIfNeeded(24, 30), A.RandomInvert(p=1.0)),
+        A.RandomApply(A.PadIfNeeded(24, 30)),
+        A.SomeOf(A.ImageSequential(A.PadIfNeeded(24, 30)), A.RandomInvert(p=1.0), n=1),
+        A.ImageSequential(A.CenterCrop((7, 8)), A.RandomInvert(p=1.0), random_apply=1),
+    ],
+    ids=lambda augment: type(augment).__name__,
+)
+def test_choices_give_images_of_one_size_sizes_of_their_own(augment, device):
+    """And replays of them, too."""
+    images = pictures(device, [(16, 20)] * 5)
+    seeds = torch.arange(5, device=device)
+    results = augment(images, seed=seeds)
+    assert len({y.shape for y in results}) == 2
+    replayed = augment(images, params=augment._params)
+    for b, x in enumerate(images):
+        alone = augment(x[None], seed=seeds[b : b + 1])[0]
+        assert torch.equal(results[b], alone) and torch.equal(replayed[b], alone)
+
+
 @pytest.mark.tracing
 @pytest.mark.parametrize(
     "augment",

@@ -15,7 +15,7 @@ import torch
 from torch import Generator, Tensor
 from torch.compiler import is_compiling
 
-from kvision.augmentation.engine.parts import Parts, params_of_rows
+from kvision.augmentation.engine.parts import Parts, are_of_samples, params_of_rows
 from kvision.augmentation.engine.sized import SIZES, gives_one_size
 from kvision.augmentation.keys import Seed, check_seeds, draw_keys, seeds_of_samples
 from kvision.augmentation.sample_rows import numbers_by
@@ -41,9 +41,9 @@ def call_in_parts(
     module = modules[0]
     op, images = type(module).__name__, check_list(type(module).__name__, "input", inputs[keys.index(DataKey.INPUT)])
     refuse_list(op, modules)
-    has_seeds = isinstance(seed, Tensor) and seed.dim() == 1
+    chooses_for_each = are_of_samples(params) or (isinstance(seed, Tensor) and seed.dim() == 1)
     calls: list[Any] = []
-    parts, each, seeds = Parts(op, _rows_of_parts(images, modules, has_seeds), calls), [], None
+    parts, each, seeds = Parts(op, _rows_of_parts(images, modules, chooses_for_each), calls), [], None
     if params is None and len(parts.rows) > 1:
         seeds, generator = seeds_of_list(op, modules, parts.count, seed, generator or module.generator), None
     for rows in parts.rows:
@@ -73,14 +73,14 @@ def refuse_list(op: str, modules: Any) -> None:
         )
 
 
-def _rows_of_parts(images: Sequence[Tensor], modules: Sequence[Any], has_seeds: bool) -> list[list[int]]:
+def _rows_of_parts(images: Sequence[Tensor], modules: Sequence[Any], chooses_for_each: bool) -> list[list[int]]:
     """The numbers of the images of each part: those of one size, or one image where samples of a batch would not be alone.
 
     A chance may decide for a batch, as may a size that is drawn, and what is chosen for samples may give them sizes of their own.
     """
     by_size = numbers_by(x.shape for x in images)
     draws_for_batch = len(by_size) > 1 and any(_draws_for_batch(m) for m in modules)
-    if draws_for_batch or any(_gives_samples_sizes(m, has_seeds or len(by_size) > 1) for m in modules):
+    if draws_for_batch or any(_gives_samples_sizes(m, chooses_for_each or len(by_size) > 1) for m in modules):
         return [[i] for i in range(len(images))]
     return list(by_size.values())
 
@@ -91,9 +91,10 @@ def _draws_for_batch(module: Any) -> bool:
     return has_chance or not getattr(module, "has_known_size", True)
 
 
-def _gives_samples_sizes(module: Any, has_seeds: bool) -> bool:
-    """Whether a container chooses children for samples which give these different sizes."""
-    chooses = getattr(module, "chooses_for_samples", False) or (has_seeds and getattr(module, "random_apply", None))
+def _gives_samples_sizes(module: Any, chooses_for_each: bool) -> bool:
+    """Whether a container chooses children for samples which give these different sizes; by `random_apply` where it says so."""
+    chooses = getattr(module, "chooses_for_samples", False)
+    chooses = chooses or (chooses_for_each and getattr(module, "random_apply", None))
     return bool(chooses) and module._sizes_after(SIZES) is None
 
 

@@ -316,6 +316,12 @@ def shapes_of_images(params: Any) -> list[tuple[int, ...] | None] | None:
     return known or None
 
 
+def are_of_samples(params: Any) -> bool:
+    """Whether a container, or one in it, chose its children for each sample when it drew these parameters."""
+    items = params if isinstance(params, list) else ()
+    return any(_samples(item) is not None or are_of_samples(_data(item)) for item in items)
+
+
 def _kind(item: Any) -> Any:
     indices = getattr(item, "indices", None)
     return (None if indices is None else tuple(indices), getattr(item, "param", item).name)

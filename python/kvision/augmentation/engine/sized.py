@@ -347,7 +347,17 @@ def sizes_after(module: Any, sizes: Sizes) -> Sizes | None:
     after = tuple(tuple(module.output_shape((1, 3, *size), module.flags)[2:]) for size in sizes)
     if after != sizes and module.whole_batch and module.p_batch < 1:
         return None
+    if after == SIZES and _changes_small_images(module):
+        return None
     return after[0], after[1]
+
+
+def _changes_small_images(module: Any) -> bool:
+    """Whether what keeps the size of large images pads small ones."""
+    try:
+        return bool(module.output_shape((1, 3, 1, 1), module.flags)[2:] != (1, 1))
+    except ValueError:  # too small
+        return False
 
 
 def gives_one_size(module: Any) -> bool:

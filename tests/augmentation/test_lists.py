@@ -117,6 +117,24 @@ def test_plans_do_not_depend_on_the_sizes(device):
     assert len(counts) == 1
 
 
+@pytest.mark.parametrize(
+    "augment",
+    [
+        A.RandomAffine(20.0),
+        A.RandomErasing(),
+        A.RandomCrop((9, 7)),
+        A.OneOf(A.RandomZoomOut(), A.RandomPerspective()),
+        chain(),
+    ],
+    ids=lambda augment: type(augment).__name__,
+)
+def test_a_list_has_no_vmap_whatever_is_drawn(augment, backend):
+    if backend == "reference":
+        pytest.skip("plain torch has one")
+    with pytest.raises(NotImplementedError, match="lists of images have no vmap"):
+        torch.func.vmap(lambda x: augment([x, x[:, :12]], seed=1)[0])(torch.rand(2, 3, 20, 24))
+
+
 def test_what_has_no_list_is_refused():
     images = pictures("cpu")
     for augment, message in (

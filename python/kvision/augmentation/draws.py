@@ -453,4 +453,9 @@ _OPTIONS: dict[str, Any] = {
 draw_parameters = register("draw_parameters", _reference, flatten=flatten_draws(keys=1), **_OPTIONS)
 # With other numbers for each image: `listed` has those of some draws, for the first image, the second, ...; the last argument
 # has the positions of these among all draws.
-draw_list_parameters = register("draw_list_parameters", _list_reference, **_OPTIONS)
+draw_list_parameters = register(
+    "draw_list_parameters",
+    _list_reference,
+    flatten=lambda *_: None,  # `listed` is that of the images of one element of a vmap
+    **_OPTIONS,
+)

@@ -74,9 +74,12 @@ struct PartPlan {
     fits = fits && taps_x <= 32;
     taps_x = (taps_x <= 2 ? 2 : taps_x <= 3 << across ? 3 : 4) << across;
     log_columns = log_rows = separable ? log_side : 5;
+    // Sides of less than a tile are of parts that a block samples at once.
+    int const log_pixels = separable && log_side < 5 ? 2 * log_side - across : 10;
     while (fits) {
       F const across_x = F((1 << log_columns) - 1), across_y = F((1 << log_rows) - 1);
-      if (most.ux * across_x + most.uy * across_y + F(taps_x + 6) <= F(columns) &&
+      if (log_columns + log_rows <= log_pixels &&
+          most.ux * across_x + most.uy * across_y + F(taps_x + 6) <= F(columns) &&
           most.vx * across_x + most.vy * across_y + F(taps_y + 3) <= F(rows))
         break;
       fits = log_columns + log_rows > 4;

@@ -41,8 +41,9 @@ struct alignas(16) RingPart {
 template <class F>
 struct PartsRing {
   static constexpr int kStages = 3, kPitch = PartTiles::kPitch, kSize = kPitch * PartTiles::kRows;  // of pixels
-  static constexpr int kLogSide = 4;  // of parts: a thread a pixel
-  static constexpr int kParts = 32;   // located at once
+  static constexpr int kLogSide = 4;  // of parts: at least a thread a pixel
+  static_assert(1 << 2 * kLogSide == kThreads);
+  static constexpr int kParts = 32;  // located at once
 
   RingPart<F> parts[kParts];
   TileInParts<F> whole;

@@ -2,8 +2,8 @@
 // those of covered_parts.cuh, channel by channel.
 //
 // A channel of a part is a stage. Shared memory is a ring of the source pixels of three stages, in the type of the
-// image: while one stage is sampled, those of the next two arrive, of the next part, too. A thread has taps of one
-// pixel, whose weights along x it keeps for all channels, divided by the sum of all weights.
+// image, with the fill around it: while one stage is sampled, those of the next two arrive, of the next part, too. A
+// thread has taps of one pixel, whose weights along x it keeps for all channels, divided by the sum of all weights.
 #pragma once
 
 #include "geometry/transform/antialiased/covered_parts.cuh"
@@ -11,17 +11,17 @@
 namespace kv::geometry::cuda {
 namespace {
 
-// A part whose taps are pixels of the image, not padding.
+// A part that is sampled by the ring.
 template <class F>
 struct alignas(16) RingPart {
-  int x, y, at;             // its first pixel, and where its source pixels begin in a plane
+  int x, y;                 // its first pixel
+  int left, top;            // where its source pixels begin in the image
   int last_left, last_top;  // of windows, counted from there
-  int rows;
-  F u, v;  // of the first pixel, counted from there
+  F u, v;                   // of the first pixel, counted from there
 
-  // The part at (x, y); whether it is such.
+  // The part at (x, y); whether it is such: its vectors are pixels of the image or, where `filled`, the fill.
   template <class T>
-  __device__ __forceinline__ bool init(Sample<T> const& p, TileInParts<F> const& whole, int x, int y) {
+  __device__ __forceinline__ bool init(Sample<T> const& p, TileInParts<F> const& whole, bool filled, int x, int y) {
     Tile<F> const& tile = whole.tile;
     PartBounds<F> const bounds = whole.bounds(x, y, int(p.y.width), int(p.y.height));
     tile.map.apply(F(x - tile.x), F(y - tile.y), u, v);
@@ -29,11 +29,11 @@ struct alignas(16) RingPart {
     v -= F(bounds.top);
     this->x = x;
     this->y = y;
-    at = (bounds.top + tile.v) * int(p.x.row_stride) + bounds.left + tile.u;
+    left = bounds.left + tile.u;
+    top = bounds.top + tile.v;
     last_left = bounds.columns - whole.plan.taps_x;
     last_top = bounds.rows - whole.plan.taps_y;
-    rows = bounds.rows;
-    return bounds.template is_inside<4>(tile, p);
+    return filled ? !bounds.is_outside(tile, p) : bounds.template is_inside<4>(tile, p);
   }
 };
 
@@ -58,41 +58,49 @@ struct RingLoader {
   static constexpr int kVectors = ceil_div(PartTiles::kRows, kRowsAtOnce);
 
   int64_t const stride;  // from one vector to the next
-  int const own;         // what the first one is behind the part's first pixel
   T* const to;
   T const* from;
-  unsigned mask;  // which of them are read
+  unsigned copied, filled;  // which of them are needed, inside the image and outside
 
   __device__ __forceinline__ RingLoader(Sample<T> const& p, T* memory)
       : stride(kRowsAtOnce * p.x.row_stride),
-        own(int(threadIdx.x) / kAcross * int(p.x.row_stride) + int(threadIdx.x) % kAcross * 4),
         to(memory + int(threadIdx.x) / kAcross * Ring::kPitch + int(threadIdx.x) % kAcross * 4) {}
 
-  __device__ __forceinline__ void locate(PartPlan<F> const& plan, RingPart<F> const& part, T const* plane) {
-    int const column = threadIdx.x % kAcross * 4, first_row = threadIdx.x / kAcross;
-    from = plane + (part.at + own);
+  __device__ __forceinline__ void locate(Sample<T> const& p, PartPlan<F> const& plan, RingPart<F> const& part,
+                                         T const* plane) {
+    int const column = threadIdx.x % kAcross * 4, first_row = threadIdx.x / kAcross, top = part.top + first_row;
+    from = plane + (top * int(p.x.row_stride) + (part.left + column));
     // How far the output's pixel whose sampling coordinates are in the middle of the vector is from the middle of the
     // part.
     F const du = F(column) + F(1.5) - (part.u + plan.middle_u), dv = F(first_row) - (part.v + plan.middle_v);
     F x = plan.back[0] * du + plan.back[1] * dv, y = plan.back[2] * du + plan.back[3] * dv;
     F const step_x = plan.back[1] * F(kRowsAtOnce), step_y = plan.back[3] * F(kRowsAtOnce);
-    int const rows = column < part.last_left + plan.taps_x ? part.rows - first_row : 0;
-    mask = 0;
+    int const rows = column < part.last_left + plan.taps_x ? part.last_top + plan.taps_y - first_row : 0;
+    unsigned const height = unsigned(part.left + column) < unsigned(p.x_axis.size) ? unsigned(p.y_axis.size) : 0;
+    copied = filled = 0;
 #pragma unroll
     for (int r = 0; r < kVectors; ++r) {
-      if (r * kRowsAtOnce < rows && vabs(x) <= plan.limit_x && vabs(y) <= plan.limit_y) mask |= 1u << r;
+      if (r * kRowsAtOnce < rows && vabs(x) <= plan.limit_x && vabs(y) <= plan.limit_y)
+        (unsigned(top + r * kRowsAtOnce) < height ? copied : filled) |= 1u << r;
       x += step_x;
       y += step_y;
     }
   }
-  __device__ __forceinline__ void load(int stage) const {
+  // A thread overwrites what it had copied three stages ago, which it has waited for.
+  __device__ __forceinline__ void load(Sample<T> const& p, int b, int channel, int stage) const {
     T const* vector = from;
+    T* const first = to + stage * Ring::kSize;
 #pragma unroll
     for (int r = 0; r < kVectors; ++r) {
-      if (mask & 1u << r)
-        __pipeline_memcpy_async(to + (stage * Ring::kSize + r * kRowsAtOnce * Ring::kPitch), vector, 4 * sizeof(T));
+      if (copied & 1u << r) __pipeline_memcpy_async(first + r * kRowsAtOnce * Ring::kPitch, vector, 4 * sizeof(T));
       vector += stride;
     }
+    if (filled == 0) return;
+    T const fill = round_to<T>(p.fill_value(b, channel));
+    Vector<T, 4> const fills{fill, fill, fill, fill};
+#pragma unroll 1
+    for (unsigned rest = filled; rest != 0; rest &= rest - 1)
+      *reinterpret_cast<Vector<T, 4>*>(first + (__ffs(int(rest)) - 1) * (kRowsAtOnce * Ring::kPitch)) = fills;
   }
 };
 
@@ -129,14 +137,14 @@ __device__ __forceinline__ void sample_stages(Sample<T> const& p, PartsRing<F> c
   RingLoader<T> loader(p, memory);
   unsigned failed = 0;  // parts
   __syncthreads();      // before the ring is overwritten
-  loader.locate(plan, ring.parts[0], source);
-  loader.load(0);
+  loader.locate(p, plan, ring.parts[0], source);
+  loader.load(p, tile.b, first, 0);
   __pipeline_commit();
   if (N > 1)
     loader.from += channel_stride;
   else if (count > 1)
-    loader.locate(plan, ring.parts[1], source);
-  if (N > 1 || count > 1) loader.load(1);
+    loader.locate(p, plan, ring.parts[1], source);
+  if (N > 1 || count > 1) loader.load(p, tile.b, first + (N > 1), 1);
   __pipeline_commit();
   int stage = 0;  // of the part, if it has one
 #pragma unroll 1
@@ -170,12 +178,13 @@ __device__ __forceinline__ void sample_stages(Sample<T> const& p, PartsRing<F> c
       __syncthreads();
       // The memory of the stage before this one is free.
       int const next = part + (N > 1 ? (k + 2) / N : 2);
+      int const free = N > 1 ? (k + 2) % N : stage > 0 ? stage - 1 : 2;
       if (next < count) {
         if (N == 1 || k == 1)
-          loader.locate(plan, ring.parts[next], source);
+          loader.locate(p, plan, ring.parts[next], source);
         else
           loader.from += channel_stride;
-        loader.load(N > 1 ? (k + 2) % N : stage > 0 ? stage - 1 : Ring::kStages - 1);
+        loader.load(p, tile.b, first + (N > 1 ? free : 0), free);
       }
       __pipeline_commit();
       T const* row = at + (N > 1 ? k : stage) * Ring::kSize;
@@ -214,6 +223,9 @@ __device__ __forceinline__ void sample_parts(Sample<T> const& p, PartsRing<F>& r
   int const count = whole.count(), end = (split + 1) * count / splits, lane = int(threadIdx.x) % 32;
   int const width = int(p.y.width), height = int(p.y.height);
   bool const uses_ring = plan.separable && aligned;
+  // Vectors are inside the image or outside, and the fill is exact in its type.
+  bool const filled =
+      p.x_axis.padding == Padding::fill && p.x_axis.size % 4 == 0 && (sizeof(T) == sizeof(F) || !p.fill);
 #pragma unroll 1
   for (int from = split * count / splits; from < end; from += PartsRing<F>::kParts) {
     // Each warp finds the same; the first one stores it.
@@ -221,12 +233,12 @@ __device__ __forceinline__ void sample_parts(Sample<T> const& p, PartsRing<F>& r
     whole.locate(from + lane, x, y);
     bool const exists = from + lane < end && x < width && y < height;
     RingPart<F> part;
-    bool const inside = uses_ring && exists && part.init(p, whole, x, y);
-    unsigned const parts = __ballot_sync(kAllLanes, inside);
-    unsigned others = __ballot_sync(kAllLanes, exists && !inside);
+    bool const staged = uses_ring && exists && part.init(p, whole, filled, x, y);
+    unsigned const parts = __ballot_sync(kAllLanes, staged);
+    unsigned others = __ballot_sync(kAllLanes, exists && !staged);
     if (parts != 0) {
       __syncthreads();  // before parts are overwritten
-      if (threadIdx.x < 32 && inside) ring.parts[__popc(parts & ((1u << lane) - 1))] = part;
+      if (threadIdx.x < 32 && staged) ring.parts[__popc(parts & ((1u << lane) - 1))] = part;
       __syncthreads();
       for_each_channel_group<PartsRing<F>::kStages>(p.x.channels, [&](int first, auto number) {
         dispatch_shape(plan, [&](auto across, auto taps) {

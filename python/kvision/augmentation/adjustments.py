@@ -6,15 +6,13 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-import torch
 from torch import Tensor
 
 from kvision import _check
 from kvision._constants import constant
 from kvision._limits import LUMA
-from kvision.augmentation.engine import Execution, Params, Shape
+from kvision.augmentation.engine import Params, Shape
 from kvision.augmentation.intensity_base import ColorStep, IntensityAugmentationBase2D
-from kvision.augmentation.lists.pixels import PixelRow
 from kvision.augmentation.random_generator.color import PosterizeGenerator, ScaledGenerator
 from kvision.augmentation.random_generator.plain import PlainUniformGenerator
 from kvision.augmentation.ranges import Numbers, NumbersOfAxes
@@ -387,6 +385,7 @@ class RandomGrayscale(IntensityAugmentationBase2D, keeps_contract=True):
     """
 
     takes_volumes = True
+    _is_by_pixel = True
 
     def __init__(
         self,
@@ -429,16 +428,3 @@ class RandomGrayscale(IntensityAugmentationBase2D, keeps_contract=True):
             )
         weights = constant(tuple(self._weights), input)
         return (input * weights.reshape(-1, *[1] * (input.dim() - 2))).sum(1, keepdim=True).expand_as(input)
-
-    def _operates_on(self, dtype: torch.dtype) -> bool:
-        return not self._is_customized()
-
-    def _run_list(self, images: Sequence[Tensor], execution: Execution) -> list[Tensor]:
-        if images[0].dtype == torch.uint8:  # whose base has them as floats
-            return super()._run_list(images, execution)
-        row, planes = PixelRow(images), PixelRow([x[:1] for x in images])
-        colors = torch.cat([x.flatten(1) for x in images], 1)[None, :, None]
-        gray = self.apply_transform(colors, {}, self.flags)[0, 0, 0]
-        y = row.of_maps(planes.split(gray))
-        chosen = execution.chosen
-        return row.split(y if chosen is None else torch.where(row.of_images(chosen), y, row.of(images)))

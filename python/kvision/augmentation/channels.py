@@ -137,6 +137,8 @@ class RandomChannelShuffle(_Channels, keeps_contract=True):
 
     def _run_list(self, images: Sequence[Tensor], execution: Execution) -> list[Tensor]:
         like, chosen = like_batch(images), execution.chosen
+        if not like.shape[1]:  # nothing is drawn
+            return list(images)
         orders = self._params_on_device(like, execution, for_users=False)["channels"]
         if chosen is not None:
             orders = torch.where(chosen[:, None], orders, torch.arange(like.shape[1], device=like.device))

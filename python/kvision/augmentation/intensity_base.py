@@ -19,8 +19,10 @@ from kvision.augmentation.engine import (
     RigidAffineAugmentationBase3D,
     Shape,
 )
+from kvision.augmentation.lists.pixels import PixelRow
 from kvision.augmentation.lists.replays import replay_pixels
 from kvision.augmentation.warp_and_color import ColorStep, make_pass
+from kvision.color.scale_shift import bytes_of_floats, floats_of_bytes
 from kvision.color.steps import STEPS
 
 __all__ = ["IntensityAugmentationBase2D", "IntensityAugmentationBase3D"]
@@ -60,6 +62,7 @@ class IntensityAugmentationBase2D(RigidAffineAugmentationBase2D, keeps_contract=
     keeps_positions = True
     takes_volumes = False
     order_of_steps: ClassVar[str | None] = None  # the field with numbers of steps in their order; None: as listed
+    _is_by_pixel = False  # whether `apply_transform` draws nothing and computes each pixel from its channels alone
     _of_pixels: Sequence[str] = ()  # the parameters of each pixel, where these alone say what it becomes
 
     def color_steps(self, shape: Shape, flags: dict[str, Any]) -> Sequence[ColorStep] | None:
@@ -111,10 +114,24 @@ class IntensityAugmentationBase2D(RigidAffineAugmentationBase2D, keeps_contract=
             return super()._run(x, execution, flags)
         return image_pass.run(x, None if columns is None else columns.drawn)[0]
 
+    def _operates_on(self, dtype: torch.dtype) -> bool:
+        return not self._is_customized() if self._is_by_pixel else super()._operates_on(dtype)
+
     def _run_list(self, images: Sequence[Tensor], execution: Execution) -> list[Tensor]:
+        if self._is_by_pixel:
+            return self._run_pixels(images, execution.chosen)
         if execution.params is None or not self._of_pixels:
             return super()._run_list(images, execution)
         return replay_pixels(self, images, execution.params, self._of_pixels)
+
+    def _run_pixels(self, images: Sequence[Tensor], chosen: Tensor | None) -> list[Tensor]:
+        """Execute on all pixels of a list at once."""
+        row, result = PixelRow(images), self._result_dtype(images[0].dtype)
+        x = row.by_channel()
+        x = floats_of_bytes(x) if x.dtype == torch.uint8 else x
+        y = self.apply_transform(x, {}, self.flags)
+        y = y if chosen is None else torch.where(row.of_pixels(chosen), y, x)
+        return row.split_channels(bytes_of_floats(y) if result == torch.uint8 else y.to(result))
 
     def apply_transform(
         self, input: Tensor, params: Params, flags: dict[str, Any], transform: Tensor | None = None

@@ -22,6 +22,7 @@ class _Statistics(IntensityAugmentationBase2D):
     """A mean and a standard deviation, for all channels or of each."""
 
     step: ClassVar[str]
+    _is_by_pixel = True
 
     def __init__(self, mean: Statistics, std: Statistics, p: float, keepdim: bool, **options: Any) -> None:
         super().__init__(p=p, same_on_batch=True, keepdim=keepdim, **options)

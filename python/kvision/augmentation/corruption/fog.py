@@ -90,6 +90,8 @@ class Fog(NamedTuple):
     numbers: Tensor
 
     def __call__(self, images: Tensor) -> Tensor:
+        if not images.shape[1]:  # which have no largest value
+            return images.clone()
         is_of_images = images.requires_grad and not (self.layer.requires_grad or self.numbers.requires_grad)
         if is_of_images and torch.is_grad_enabled() and len(images) and not (is_compiling() or in_function_transform()):
             return torch.stack(self.on_list(list(images.unbind())))  # whose gradient has a kernel

@@ -31,6 +31,20 @@ class PixelRow:
         """The row of numbers (B,) or (1,) of images."""
         return self._repeated(numbers.expand(len(self._shapes)), [math.prod(shape) for shape in self._shapes])
 
+    def by_channel(self) -> Tensor:
+        """The pixels as a batch of one image (1, C, 1, N), each with its channels."""
+        return torch.cat([x.flatten(1) for x in self.images], 1)[None, :, None]
+
+    def split_channels(self, pixels: Tensor) -> list[Tensor]:
+        """The images of such a batch."""
+        each = pixels[0, :, 0].split([h * w for _, h, w in self._shapes], 1)
+        return self.split(torch.cat([pixels.new_empty(0), *(plane for own in each for plane in own)]))
+
+    def of_pixels(self, numbers: Tensor) -> Tensor:
+        """The numbers (B,) or (1,) of images at each pixel of such a batch."""
+        repeated = self._repeated(numbers.expand(len(self._shapes)), [h * w for _, h, w in self._shapes])
+        return repeated[None, None, None]
+
     def of_channels(self, numbers: Tensor) -> Tensor:
         """The row of numbers (B or 1, C or 1) of channels."""
         channels = self._shapes[0][0]

@@ -6,6 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from kvision import augmentation as A
 from kvision import backend
 from kvision.augmentation.displacements import blur_settings, elastic_displacements
 from kvision.augmentation.keys import Keys
@@ -79,3 +80,19 @@ def test_sigma_may_be_learned(device):
     moved = elastic_displacements(noise, None, blur_settings((7, 7), sigma), (2.0, 3.0))
     assert_close(moved, elastic_displacements(noise, None, blur_settings((7, 7), (2.0, 3.0)), (2.0, 3.0)))
     assert torch.autograd.grad(moved.square().sum(), sigma)[0].abs().min() > 0
+
+
+@pytest.mark.parametrize("p", [0.6, 1.0])
+def test_windows_of_each_image_of_a_list_have_the_gradients_of_learned_deviations(
+    p: float, device: torch.device
+) -> None:
+    sigma = torch.tensor([[20.0, 30.0]], device=device, requires_grad=True)
+    augment = A.RandomElasticTransform((63, 31), sigma, (2.0, 3.0), scale_window=True, p=p)
+    images = [torch.rand(2, h, w, device=device) for h, w in ((40, 30), (17, 64), (300, 9), (1, 5))]
+    seeds = torch.arange(len(images), device=device)
+    results = augment(images, seed=seeds)
+    alone = [augment(x[None], seed=seeds[b : b + 1])[0] for b, x in enumerate(images)]
+    for own, expected in zip(results, alone):
+        assert_close(own, expected, 1e-5, 1e-4)
+    of_list, of_each = (torch.autograd.grad(sum(y.sum() for y in ys), sigma)[0] for ys in (results, alone))
+    assert_close(of_list, of_each, 1e-3, 1e-3)

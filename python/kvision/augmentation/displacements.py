@@ -17,6 +17,7 @@ from kvision.augmentation.lists.pixels import PixelRow, given_maps
 from kvision.augmentation.lists.sides import rows_on_device
 from kvision.augmentation.maps import vector
 from kvision.augmentation.noise import NO_KEY, PixelNoise, uniform_noise
+from kvision.filters.filter2d import _filter2d as filter2d
 from kvision.filters.kernels import sigmas
 from kvision.filters.smoothing import gaussian
 from kvision.geometry.transform.lists.arguments import like_batch, row
@@ -189,12 +190,30 @@ def _blurred_by_tensor(
     if isinstance(source, PixelNoise):
         source = source.symmetric_list([(2, *size) for size in sizes], [1.0] * len(sizes))
     noise = given_maps(source, like.device, like.dtype, chosen)
-    each = [blur_and_scale(blur, alpha, align_corners, unit, *size) for size in sizes]
-    if unit:  # windows of their own
-        smooth = [gaussian.gaussian_blur2d(x[None], own[:2], own[2], "constant")[0] for x, (own, _) in zip(noise, each)]
+    each = [blur_and_scale((*blur[:2], 0.0, 0.0), alpha, align_corners, unit, *size) for size in sizes]
+    if unit:
+        smooth = _blurred_by_sides(noise, [own[:2] for own, _ in each], blur[2], unit, sizes)
     else:
         arguments = gaussian.blur_arguments("RandomElasticTransform", like_batch(noise), blur[:2], blur[2], "constant")
         smooth = Operation(gaussian._gaussian_blur2d, arguments[1:]).on_list(noise)
     rows = torch.tensor([scales for _, scales in each], dtype=torch.float64, device="cpu")
     row = PixelRow(smooth)
     return packed(row.split(row.of(smooth) * row.of_channels(rows_on_device(rows, like, like.dtype))))
+
+
+def _blurred_by_sides(
+    noise: list[Tensor], windows: Sequence[Sequence[int]], sigma: Tensor, unit: int, sizes: Sequence[tuple[int, int]]
+) -> list[Tensor]:
+    """Noise of a list, blurred by windows of each image and deviations for images of `unit` pixels, along x and then y.
+
+    The kernels of all images are as long as the longest one, with zeros around their windows.
+    """
+    like = like_batch(noise)
+    scales = rows_on_device(torch.tensor(sizes, dtype=torch.float64, device="cpu") / unit, like, like.dtype)
+    for axis in (1, 0):
+        own = [window[axis] for window in windows]
+        half = rows_on_device(torch.tensor(own, device="cpu")[:, None] // 2, like, torch.int64)
+        kernels = gaussian.windowed(max(own), half, sigma.to(like)[:, axis, None] * scales[:, axis, None])
+        arguments = kernels.unsqueeze(2 - axis), BORDER["constant"], True
+        noise = Operation(filter2d, arguments).on_list(noise)
+    return noise

@@ -116,11 +116,6 @@ class RandomElasticTransform(MapAugmentation, keeps_contract=True):
             return None
         return NoiseField((shape[-2], shape[-1]), noise_plan(number, has_seed, self.same_on_batch), blur, scale)
 
-    @property
-    def _has_maps_of_lists(self) -> bool:
-        is_tensor = blur_settings(self.flags["kernel_size"], self.flags["sigma"])[3] is None
-        return not (is_tensor and self.flags["scale_window"])  # whose windows differ by image
-
     def _maps_of_list(self, sides: Sequence[int], execution: Execution, like: Tensor) -> Tensor:
         chosen, given = execution.chosen, execution.params
         noise: Any

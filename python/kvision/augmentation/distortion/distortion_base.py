@@ -74,11 +74,9 @@ class MapAugmentation(AugmentationBase2D, keeps_contract=True):
     @property
     def _knows_maps_of_lists(self) -> bool:
         """Whether `_maps_of_list` has the maps that `displacements` has of a batch."""
-        return self._has_maps_of_lists and not self._is_overridden("displacements") and not self._is_customized()
-
-    @property
-    def _has_maps_of_lists(self) -> bool:
-        return type(self)._formula is not MapAugmentation._formula
+        own, base = type(self), MapAugmentation
+        has_maps = own._formula is not base._formula or own._maps_of_list is not base._maps_of_list
+        return has_maps and not self._is_overridden("displacements") and not self._is_customized()
 
     def _run_list(self, images: Sequence[Tensor], execution: Execution) -> list[Tensor]:
         like = like_batch(images)

@@ -202,6 +202,14 @@ def axis_kernels(
     )
 
 
+def windowed(size: int, half: Tensor, sigma: Tensor) -> Tensor:
+    """Gaussian kernels (B, size) of deviations (B or 1, 1), 0 from more than `half`, (B, 1), pixels off their centers."""
+    kernels = gaussian(size, positive(sigma))
+    outside = (torch.arange(size, device=half.device) - size // 2).abs() > half
+    kernels = kernels.masked_fill(outside, 0.0)
+    return kernels / kernels.sum(1, keepdim=True)
+
+
 def positive(values: Tensor) -> Tensor:
     """`values`, NaN where they are not positive: an invalid sigma makes its images NaN without a synchronization."""
     return torch.where(values > 0, values, torch.nan)

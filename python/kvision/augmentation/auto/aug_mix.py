@@ -26,6 +26,7 @@ from kvision.augmentation.auto.policy_parts import Drawn
 from kvision.augmentation.drawn_pass import COMPUTED_IN_FLOAT32
 from kvision.augmentation.draws import Draw, Request, integer
 from kvision.augmentation.engine import Chain, ParamItem, Record
+from kvision.augmentation.lists.pixels import PixelRow
 from kvision.augmentation.samples import per_sample
 from kvision.core.exceptions import ValueCheckError
 from kvision.geometry.transform.lists.arguments import fake_results
@@ -163,7 +164,8 @@ class AugMix(PolicyAugmentBase):
         assert drawn.weights is not None
         execute = super()._run
         chains = _chains_of(drawn.operation, drawn.value, drawn.weights)
-        return _mixture(x, drawn.weights, (execute(x, Drawn(*chain))[0] for chain in chains)), Chain()
+        weights = (per_sample(w, x) for w in drawn.weights.to(compute_dtype(x)).unbind(1))
+        return _mixture(x, weights, (execute(x, Drawn(*chain))[0] for chain in chains)), Chain()
 
     def _run_list(self, images: Sequence[Tensor], drawn: Drawn) -> tuple[list[Tensor], list[Tensor]]:
         operation, value, weights = drawn
@@ -173,7 +175,10 @@ class AugMix(PolicyAugmentBase):
                 return list(_mix.kernel(images, operation, value, weights)), []
             if has_list_operator(images, operation, value):
                 return list(_mix_operations_list(images, operation, value, weights)), []
-        return [self._run(x[None], drawn.of_sample(b))[0][0] for b, x in enumerate(images)], []
+        row, execute = PixelRow(images), super()._run_list
+        chains = (execute(images, Drawn(*chain))[0] for chain in _chains_of(operation, value, weights))
+        weights_of_pixels = map(row.of_images, weights.to(compute_dtype(images[0])).unbind(1))
+        return row.split(_mixture(row.of(images), weights_of_pixels, map(row.of, chains))), []
 
 
 def _chains_of(operation: Tensor, value: Tensor, weights: Tensor) -> Iterator[tuple[Tensor, Tensor]]:
@@ -182,12 +187,12 @@ def _chains_of(operation: Tensor, value: Tensor, weights: Tensor) -> Iterator[tu
     return zip(operation.chunk(count, 1), value.chunk(count, 1))
 
 
-def _mixture(x: Tensor, weights: Tensor, chains: Iterable[Tensor]) -> Tensor:
-    """Images with what chains make of them."""
-    image, *of_chains = weights.to(compute_dtype(x)).unbind(1)
-    mixture = per_sample(image, x) * x
+def _mixture(x: Tensor, weights: Iterable[Tensor], chains: Iterable[Tensor]) -> Tensor:
+    """Images with what chains make of them, by the weight of the image and those of its chains."""
+    image, *of_chains = weights
+    mixture = image * x
     for weight, chain in zip(of_chains, chains):
-        mixture = mixture + per_sample(weight, x) * chain
+        mixture = mixture + weight * chain
     mixture = mixture.round() if x.dtype == torch.uint8 else mixture
     return mixture.to(x.dtype)
 
@@ -202,7 +207,8 @@ def _reference(images: Sequence[Tensor], *drawn: Tensor) -> list[Tensor]:
     results = []
     for x, operation, value, weights in zip(images, *(t.split(1) for t in drawn)):
         chains = (steps_reference(x[None], *chain)[0] for chain in _chains_of(operation, value, weights))
-        results.append(_mixture(x[None], weights, chains)[0])
+        own = (per_sample(w, x[None]) for w in weights.to(compute_dtype(x)).unbind(1))
+        results.append(_mixture(x[None], own, chains)[0])
     return results
 
 

@@ -19,6 +19,7 @@ from torch import Tensor, is_grad_enabled
 
 from kvision import enhance
 from kvision._constants import constant
+from kvision._dtype import compute_dtype
 from kvision._list_ops import ListOperator
 from kvision._modes import POLICY_OPERATION
 from kvision._ops import FastPath, behind_grad, register, vjp
@@ -27,10 +28,15 @@ from kvision.augmentation.columns import name_columns
 from kvision.augmentation.drawn_pass import COMPUTED_IN_FLOAT32
 from kvision.augmentation.engine import Warp
 from kvision.augmentation.filters import has_range
-from kvision.augmentation.maps import warp
-from kvision.augmentation.transforms import Transform, center_of, transform_matrix
+from kvision.augmentation.lists import statistics_lists
+from kvision.augmentation.lists.conversions import bytes_of_float_images, in_type, run_on_list
+from kvision.augmentation.lists.filter_lists import sharpness
+from kvision.augmentation.lists.sides import sizes_of_list
+from kvision.augmentation.maps import warp, warp_to_sizes
+from kvision.augmentation.transforms import Transform, transform_matrix
 from kvision.augmentation.warp_and_color import ColorPart, ColorStep, Pass, Resampling, make_pass
-from kvision.geometry.transform.lists.arguments import fake_results
+from kvision.geometry.transform.lists.arguments import fake_results, like_batch, sizes
+from kvision.geometry.transform.lists.kept_sizes import Operation as ListedOperation
 
 
 class Operation(NamedTuple):
@@ -68,7 +74,7 @@ _COLOR = {
     "contrast": ColorStep("contrast", "value"),
     "brightness": ColorStep("scale_shift", "value", 0.0, 1.0),
 }
-_FIELDS_OF_MATRIX = (("angle", 0), ("translation", 2), ("shear", 2))
+_FIELDS_OF_MATRIX = (("angle", 0), ("translation", 2), ("shear", 2), ("center", 2))
 BILINEAR = Resampling("bilinear", "zeros")
 
 _apply_operations = FastPath("apply_operations", COMPUTED_IN_FLOAT32, clamps=True)
@@ -177,12 +183,11 @@ def execute_steps_on_list(
     if call is not None:
         *results, matrices = call(images, operation, value)
         return results, [own for of_step, own in zip(names, matrices.unbind()) if _moves_pixels(of_step)]
-    results, each = [], []
-    for b, x in enumerate(images):
-        y, stages = execute_steps(x[None], names, operation[b : b + 1], value[b : b + 1])
-        results.append(y[0])
-        each.append([stage.matrix for stage in stages])
-    return results, [torch.cat(of_step) for of_step in zip(*each)]
+    results, matrices = list(images), []
+    for of_step, numbers, values in zip(names, operation.unbind(1), value.unbind(1)):
+        results, more = _execute_step_on_list(results, of_step, numbers, values)
+        matrices += more
+    return results, matrices
 
 
 def has_list_kernel(kernel: FastPath, images: Sequence[Tensor], operation: Tensor, value: Tensor) -> bool:
@@ -281,15 +286,12 @@ def execute_step(x: Tensor, names: tuple[str, ...], operation: Tensor, value: Te
     stages: list[Warp] = []
     size = (x.shape[-2], x.shape[-1])
     if _moves_pixels(names):
-        matrix = _matrix(operation, value, *size)
+        matrix = _matrix(operation, value, constant((tuple(map(float, size)),), value))
         x = warp(x, matrix, size, BILINEAR)
         stages.append(Warp(matrix, size, size, BILINEAR))
-    has_colors = x.shape[1] == 3
-    color = tuple(name for name in _COLOR if name in names and (has_colors or name != "color"))
+    color = _color_names(names, x.shape[1])
     if color:
-        values = torch.where(operation == OPERATIONS["posterize"].number, value.round(), value)
-        columns = torch.cat([values[:, None], constant(_orders(color), value)[operation]], 1)
-        x, _ = _color_pass(color).run(x, columns)
+        x, _ = _color_pass(color).run(x, _color_columns(color, operation, value))
     for name, function in _ALONE.items():
         if name in names:
             chosen = is_one(operation, name)
@@ -300,35 +302,72 @@ def execute_step(x: Tensor, names: tuple[str, ...], operation: Tensor, value: Te
     return x, stages
 
 
+def _execute_step_on_list(
+    images: list[Tensor], names: tuple[str, ...], operation: Tensor, value: Tensor
+) -> tuple[list[Tensor], list[Tensor]]:
+    """The same of a list, by an operator on all images for each of the operations that may occur; gives these and the matrices."""
+    matrices: list[Tensor] = []
+    if _moves_pixels(names):
+        matrices.append(_matrix(operation, value, sizes_of_list(images).to(value.dtype)))
+        images = warp_to_sizes(images, matrices[0], sizes(images), BILINEAR)
+    color = _color_names(names, images[0].shape[0])
+    if color:
+        images = run_on_list(_color_pass(color), images, _color_columns(color, operation, value))
+    like, are_bytes = like_batch(images), images[0].dtype == torch.uint8
+    for name, of_values in _ALONE_ON_LISTS.items():
+        if name in names:
+            chosen = is_one(operation, name)
+            x = in_type(torch.float32, images) if are_bytes else images
+            factors = torch.where(chosen, value, 1.0).to(compute_dtype(like))[:, None, None]
+            y = of_values(factors).on_list(x, chosen.float())
+            images = bytes_of_float_images(y) if are_bytes else y
+    return images, matrices
+
+
 def is_one(operation: Tensor, name: str) -> Tensor:
     """(B,), whether the operation of a sample is that of the name."""
     return operation == OPERATIONS[name].number
 
 
-def _matrix(operation: Tensor, value: Tensor, height: int, width: int) -> Tensor:
-    """The matrices (B, 3, 3) of the samples' operations, about the centers of images."""
-    columns = value[:, None] * constant(_factors(height, width), value)[operation]
-    columns = torch.cat([columns[:, :3], columns[:, 3:].atan().rad2deg()], 1)
-    center = center_of((height, width))
-    chain = Transform.affine(center, angle="angle", translation="translation", shear="shear")
+def _matrix(operation: Tensor, value: Tensor, sides: Tensor) -> Tensor:
+    """The matrices (B, 3, 3) of the samples' operations, about the centers of images, for height and width (B or 1, 2)."""
+    factors = value[:, None] * constant(_factors(), value)[operation]
+    angle, across, down, right, lower, *tangents = factors.unbind(1)
+    height, width = sides.expand(len(value), 2).unbind(1)
+    shears = (tangent.atan().rad2deg() for tangent in tangents)
+    center = (width - 1) / 2, (height - 1) / 2
+    columns = torch.stack([angle, across * width + right, down * height + lower, *shears, *center], 1)
+    chain = Transform.affine("center", angle="angle", translation="translation", shear="shear")
     return transform_matrix(columns, [chain._bound(name_columns(_FIELDS_OF_MATRIX))])
 
 
 # Tables by the number of an operation, which -1 for none reads from the end.
 
 
-def _factors(height: int, width: int) -> tuple[tuple[float, ...], ...]:
-    """What a value is multiplied by: angle, translation along x and y, shear along x and y."""
-    rows = {
-        "rotate": (1.0, 0, 0, 0, 0),
-        "translate_x": (0.0, width, 0, 0, 0),
-        "translate_x_pixels": (0.0, 1, 0, 0, 0),
-        "translate_y": (0.0, 0, height, 0, 0),
-        "translate_y_pixels": (0.0, 0, 1, 0, 0),
-        "shear_x": (0.0, 0, 0, 1, 0),
-        "shear_y": (0.0, 0, 0, 0, 1),
-    }
-    return tuple(rows.get(name, (0.0,) * 5) for name in (*OPERATIONS, "none"))
+@functools.lru_cache
+def _factors() -> tuple[tuple[float, ...], ...]:
+    """What a value is multiplied by: angle, translation along x and y in sides and then in pixels, shear along x and y."""
+    names = (
+        "rotate",
+        "translate_x",
+        "translate_y",
+        "translate_x_pixels",
+        "translate_y_pixels",
+        "shear_x",
+        "shear_y",
+    )
+    return tuple(tuple(float(name == own) for own in names) for name in (*OPERATIONS, "none"))
+
+
+def _color_names(names: tuple[str, ...], channels: int) -> tuple[str, ...]:
+    """Those of color steps that change images of so many channels."""
+    return tuple(name for name in _COLOR if name in names and (channels == 3 or name != "color"))
+
+
+def _color_columns(color: tuple[str, ...], operation: Tensor, value: Tensor) -> Tensor:
+    """The columns of the program of these steps."""
+    values = torch.where(operation == OPERATIONS["posterize"].number, value.round(), value)
+    return torch.cat([values[:, None], constant(_orders(color), value)[operation]], 1)
 
 
 @functools.lru_cache
@@ -367,3 +406,8 @@ def _auto_contrast(x: Tensor, chosen: Tensor, value: Tensor) -> Tensor:
 
 
 _ALONE = {"sharpness": _sharpness, "equalize": _equalize, "auto_contrast": _auto_contrast}
+_ALONE_ON_LISTS: dict[str, Callable[[Tensor], ListedOperation]] = {
+    "sharpness": lambda factors: ListedOperation(sharpness, (factors, 0.0)),
+    "equalize": lambda _: ListedOperation(statistics_lists.equalize, (False,)),
+    "auto_contrast": lambda _: ListedOperation(statistics_lists.normalize_min_max, (0.0, 1.0, 1e-6, False, True)),
+}

@@ -30,7 +30,7 @@ def bytes_of_float_images(images: Sequence[Tensor]) -> list[Tensor]:
     return run_on_list(_TO[torch.uint8], [x.detach() for x in images])
 
 
-def run_on_list(colors: Pass, images: Sequence[Tensor]) -> list[Tensor]:
-    """What a pass without a warp and without columns makes of images (C, H, W)."""
-    columns, fill, _, *program = colors.arguments(like_batch(images), None)
+def run_on_list(colors: Pass, images: Sequence[Tensor], columns: Tensor | None = None) -> list[Tensor]:
+    """What a pass without a warp makes of images (C, H, W), by the columns of each."""
+    columns, fill, _, *program = colors.arguments(like_batch(images), columns)
     return list(warp_and_color_to_list(list(images), columns, fill, False, [], *program)[: len(images)])

@@ -58,6 +58,7 @@ PASSES = {
     ),
     "splines": lambda: (A.RandomThinPlateSpline(p=0.7), A.Swirl(resample="nearest", padding_mode="border", p=0.7)),
     "late crop": lambda: (A.RandomHorizontalFlip(), A.RandomResizedCrop((12, 14)), A.ColorJitter(0.2, 0.2)),
+    "statistics": lambda: (A.Denormalize(0.3, 0.5, p=0.7), A.RandomHorizontalFlip(), A.Normalize(0.5, 0.5, p=0.7)),
 }
 
 
@@ -144,7 +145,7 @@ def test_passes_over_a_list(name, dtype, channels, device):
         assert all(same(a, b, name in MAPS) for a, b in zip(results, augment(torch.stack(equal), **options)))
 
 
-@pytest.mark.parametrize("dtype", [torch.uint8, torch.float16, torch.float32], ids=str)
+@pytest.mark.parametrize("dtype", [torch.uint8, torch.float16, torch.float32, torch.float64], ids=str)
 @pytest.mark.parametrize("name", NOISES)
 def test_noise_of_a_list(name, dtype, device):
     """That of each image alone under its seed, and of a batch under one seed; parameters, masks and a replay have it, too."""

@@ -166,11 +166,15 @@ def _filled_reference(
     return results
 
 
+def _eraser_of(parts: Tensor) -> Any:
+    """The operator on lists that sets such parts to values."""
+    return {3: _rectangles_of_list, 2: _grids_of_list, 4: erase_marked_list}[parts.dim()]
+
+
 def _filled_gradients(
     needs: Sequence[bool], grads: Sequence[Tensor], images: Sequence[Tensor], parts: Tensor, *args: Any
 ) -> list[Any]:
-    erase = {3: _rectangles_of_list, 2: _grids_of_list, 4: erase_marked_list}[parts.dim()]
-    kept = erase(grads, parts, constant(((0.0,),), grads[0], compute_dtype(grads[0])))
+    kept = _eraser_of(parts)(grads, parts, constant(((0.0,),), grads[0], compute_dtype(grads[0])))
     return [kept, *(None,) * (len(needs) - 1)]
 
 
@@ -184,7 +188,10 @@ fill_with_noise_list = ListOperator(
 
 
 def fill_with_noise(images: Sequence[Tensor], parts: Tensor, noise: PixelNoise) -> list[Tensor]:
-    """Images of a list whose parts are set to uniform noise."""
+    """Images of a list whose parts are set to uniform noise, float32 as `_params` have it."""
+    if images[0].dtype == torch.float64:
+        maps = noise.uniform_list([tuple(x.shape) for x in images])
+        return fill_with_maps(images, lambda x, value: _eraser_of(parts)(x, parts, value), maps)
     keys, seeds, _, plan = noise.arguments(form=UNIT)
     like = like_batch(images)
     parameters = constant(((0.0, 1.0),), like, compute_dtype(like))

@@ -71,8 +71,8 @@ class RandomErasing(IntensityAugmentationBase2D, keeps_contract=True):
         return Operation(erase_rectangles, (boxes, values if values.dim() == 2 else values[:, None]))
 
     def _operates_on(self, dtype: torch.dtype) -> bool:
-        if self._param_generator.per_pixel:  # noise is float32
-            return dtype != torch.float64 and not self._is_customized()
+        if self._param_generator.per_pixel:
+            return not self._is_customized()
         return super()._operates_on(dtype)
 
     def _run_list(self, images: Sequence[Tensor], execution: Execution) -> list[Tensor]:

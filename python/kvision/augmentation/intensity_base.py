@@ -122,7 +122,7 @@ class IntensityAugmentationBase2D(RigidAffineAugmentationBase2D, keeps_contract=
             return self._run_pixels(images, execution.chosen)
         if execution.params is None or not self._of_pixels:
             return super()._run_list(images, execution)
-        return replay_pixels(self, images, execution.params, self._of_pixels)
+        return replay_pixels(self, images, execution, self._of_pixels)
 
     def _run_pixels(self, images: Sequence[Tensor], chosen: Tensor | None) -> list[Tensor]:
         """Execute on all pixels of a list at once."""

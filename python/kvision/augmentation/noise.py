@@ -429,6 +429,16 @@ fill_pixels_list = ListOperator(
 )
 
 
+def on_numbers(operation: Operation, shape: Sequence[int], value: float, like: Tensor) -> Any:
+    """What an operator makes of images of one value, of a shape (B, C, H, W), or, with height and width of each, of a list."""
+    _, channels, *sides = shape
+    if len(sides) == 2:
+        return operation(like.new_full(tuple(shape), value))
+    counts = [channels * h * w for h, w in zip(sides[::2], sides[1::2])]
+    each = like.new_full((sum(counts),), value).split(counts)
+    return operation.on_list([x.view(channels, h, w) for x, h, w in zip(each, sides[::2], sides[1::2])])
+
+
 # --- the source of an augmentation ----------------------------------------------------------------------------------
 
 

@@ -81,9 +81,10 @@ def test_launches_of_gradients_do_not_depend_on_the_number_of_images(case, backe
 
 
 DTYPES = pytest.mark.parametrize("dtype", [torch.float32, torch.uint8], ids=str)
+WITH_DOUBLES = pytest.mark.parametrize("dtype", [torch.float32, torch.uint8, torch.float64], ids=str)
 
 
-@DTYPES
+@WITH_DOUBLES
 @pytest.mark.parametrize("case", IMAGES, ids=lambda case: case.name)
 def test_calls_do_not_depend_on_the_number_of_images(case, dtype, backend):
     if backend == "reference":
@@ -91,7 +92,7 @@ def test_calls_do_not_depend_on_the_number_of_images(case, dtype, backend):
     assert not grows(case.make(p=1.0), pictures("cpu", SIZES, dtype))
 
 
-@DTYPES
+@WITH_DOUBLES
 @pytest.mark.parametrize("name", A.CommonCorruption.NAMES)
 def test_calls_of_corruptions(name, dtype, backend):
     if backend == "reference":
@@ -105,17 +106,17 @@ OPTIONS = {
     "wide elastic": lambda: A.RandomElasticTransform((71, 71), (4.0, 4.0), p=1.0),
     "pixels of colors": lambda: A.PixelDropout(0.3, drop_value=(0.1, 0.2, 0.3), p=1.0),
     "pixels by channel": lambda: A.PixelDropout(0.3, True, 0.5, p=1.0),
+    "learned by sides": lambda: A.RandomElasticTransform((5, 5), torch.tensor([[2.0, 2.0]]), scale_window=True, p=1.0),
     "learned": lambda: A.RandomElasticTransform((5, 5), torch.tensor([[2.0, 2.0]]), p=1.0),
     "expanded": lambda: A.RandomRotation(20.0, expand=True, p=1.0),
 }
 # Those that docs/inputs.md names: image by image.
 OPTIONS_BY_SIZE = {
     "slow": lambda: A.RandomClahe(grid_size=(2, 2), slow_and_differentiable=True, p=1.0),
-    "learned by sides": lambda: A.RandomElasticTransform((5, 5), torch.tensor([[2.0, 2.0]]), scale_window=True, p=1.0),
 }
 
 
-@DTYPES
+@WITH_DOUBLES
 @pytest.mark.parametrize("name", [*OPTIONS, *OPTIONS_BY_SIZE])
 def test_calls_with_options(name, dtype, backend):
     if backend == "reference":
@@ -144,10 +145,11 @@ def test_launches_for_other_channels(case, channels, backend):
 
 
 @pytest.mark.parametrize("channels", [2, 4])
-@pytest.mark.parametrize("name", ["RandomGrayscale", "RandomChannelDropout", "factors"])
+@pytest.mark.parametrize("name", ["RandomGrayscale", "Normalize", "RandomChannelDropout", "factors"])
 def test_other_channels_become_what_those_of_each_image_become(name, channels, device):
     make = {
         "RandomGrayscale": lambda: A.RandomGrayscale(p=0.5),
+        "Normalize": lambda: A.Normalize([0.1, 0.2, 0.3, 0.4][:channels], [0.5, 0.6, 0.7, 0.8][:channels], p=0.5),
         "RandomChannelDropout": lambda: A.RandomChannelDropout(1, 0.3, p=0.5),
         "factors": lambda: A.MultiplicativeNoise((0.5, 1.5), per_channel=True, p=0.5),
     }[name]
@@ -157,6 +159,20 @@ def test_other_channels_become_what_those_of_each_image_become(name, channels, d
         results = augment(images, seed=seeds)
         for b, x in enumerate(images):
             assert torch.equal(results[b], augment(x[None], seed=seeds[b : b + 1])[0])
+
+
+@pytest.mark.filterwarnings("ignore:.*this call has no")
+@pytest.mark.parametrize("case", IMAGES, ids=lambda case: case.name)
+def test_images_without_channels_are_taken_or_refused_by_name(case, device):
+    augment, images = case.make(p=1.0), [x[:0] for x in pictures(device, SIZES)]
+    try:
+        batch = augment(torch.stack([x[:, :17, :17] for x in images]))
+    except ValueError:
+        with pytest.raises(ValueError, match=r"^\w+: expected"):
+            augment(images)
+        return
+    results = augment(images)
+    assert all(y.shape[0] == 0 and y.dtype == batch.dtype for y in results)
 
 
 POLICIES = {
@@ -177,6 +193,18 @@ def test_calls_of_policies(name, dtype, backend):
     most = 3 if name != "AugMix" else 5
     assert calls(augment, torch.stack([x[:, :17, :17] for x in images])) == most
     assert calls(augment, images) <= most and not grows(augment, images)
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+@pytest.mark.parametrize("name", POLICIES)
+def test_calls_of_policies_on_float64(name, channels, backend):
+    """Each operation that may occur is one, as on a batch."""
+    if backend == "reference":
+        pytest.skip("this test is about the kernels")
+    augment, images = POLICIES[name](), [x[:channels] for x in pictures("cpu", SIZES, torch.float64)]
+    assert calls(augment, images) == calls(augment, torch.stack([x[:, :17, :17] for x in images]))
+    launches(augment, images[:3], seed=0)  # which makes constants
+    assert launches(augment, images, seed=0) == launches(augment, images[:3], seed=0)
 
 
 CONTAINERS = {

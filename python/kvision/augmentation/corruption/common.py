@@ -40,6 +40,7 @@ from kvision.augmentation.noise import (
     MULTIPLY,
     PixelNoise,
     gaussian_noise,
+    on_numbers,
     salt_and_pepper,
     shot_noise,
 )
@@ -83,8 +84,8 @@ class Impulses(NamedTuple):
 
     def draw(self, noise: PixelNoise, shape: Sequence[int], number: int) -> Tensor:
         """The map with a number of its own among those of an augmentation, float32."""
-        no_impulses = torch.full(tuple(shape), _NO_IMPULSE, dtype=torch.float32, device=noise.device)
-        return _impulses(no_impulses, noise, self.amount)(no_impulses)
+        like = torch.empty(0, dtype=torch.float32, device=noise.device)
+        return on_numbers(_impulses(like, noise, self.amount), shape, _NO_IMPULSE, like)
 
 
 # The same by one operator on images of any type, which draws the noise.
@@ -124,8 +125,8 @@ class Factors(NamedTuple):
 
     def draw(self, noise: PixelNoise, shape: Sequence[int], number: int) -> Tensor:
         """The map with a number of its own among those of an augmentation, float32."""
-        ones = torch.ones(tuple(shape), dtype=torch.float32, device=noise.device)
-        return _normal_factors(ones, noise, self.deviation, MULTIPLY)(ones)
+        like = torch.empty(0, dtype=torch.float32, device=noise.device)
+        return on_numbers(_normal_factors(like, noise, self.deviation, MULTIPLY), shape, 1.0, like)
 
 
 # Those that take `images` are one operator, for images like a batch or, where they are given, for a list of them.
@@ -289,7 +290,7 @@ def _blurred_maps_of_list(noise: NoiseOfList | Sequence[Tensor]) -> Tensor:
     blur = _SIGMA, BORDER["reflect"]
     if isinstance(noise, NoiseOfList) and (fused := blurred_maps(noise, *blur)) is not None:
         return fused
-    each = noise.each() if isinstance(noise, NoiseOfList) else list(noise)
+    each = noise.each(compute_dtype(noise.images[0])) if isinstance(noise, NoiseOfList) else list(noise)
     (blurred,) = filter_lists.gaussian_blur2d_of_sides(each, *blur)
     return blurred.detach()
 
@@ -597,7 +598,10 @@ class CommonCorruption(IntensityAugmentationBase2D, keeps_contract=True):
                 noise = noise._replace(chosen=None if chosen is None else chosen.float())
                 drawn = NoiseOfList(generator.maps["noise"], noise, images)
                 is_read_later = self.name in ("spatter", "elastic_transform")
-                params = {**self._named(values, execution), "noise": drawn if is_read_later else drawn.each()}
+                params = {
+                    **self._named(values, execution),
+                    "noise": drawn if is_read_later else drawn.each(compute_dtype(like)),
+                }
             else:  # one as large as the largest image
                 params = generator.pixel_params(values, (*like.shape[:2], *sizes(images)), noise)
         return self._operation(like, params, images)
@@ -615,6 +619,4 @@ class CommonCorruption(IntensityAugmentationBase2D, keeps_contract=True):
         return {"noise": given_maps(params["noise"], like.device, compute_dtype(like), execution.chosen)}
 
     def _operates_on(self, dtype: torch.dtype) -> bool:
-        generator = self._param_generator
-        is_wide = dtype == torch.float64 and isinstance(generator, MappedGenerator) and generator.per_pixel
-        return self._corruption[0].is_operation and not is_wide and super()._operates_on(dtype)
+        return self._corruption[0].is_operation and super()._operates_on(dtype)

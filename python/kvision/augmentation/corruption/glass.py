@@ -134,6 +134,11 @@ class Moves(NamedTuple):
 
     steps: int
 
+    @property
+    def is_exact(self) -> bool:
+        """Words of 32 bits as two numbers of 16 bits."""
+        return True
+
     def draw(self, noise: PixelNoise, shape: Shape, number: int) -> Tensor:
         """The map with a number of its own among those of an augmentation, float32."""
         u = noise.uniform((shape[0], self.steps, *shape[-2:]), number, torch.float64)

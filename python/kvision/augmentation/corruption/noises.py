@@ -142,7 +142,7 @@ class ShotNoise(IntensityAugmentationBase2D, keeps_contract=True):
     def _run_list(self, images: Sequence[Tensor], execution: Execution) -> list[Tensor]:
         given = execution.params
         if given is not None and given["scale"].requires_grad:  # for which there is no operator
-            return replay_pixels(self, images, given, ["noise"], ["scale"])
+            return replay_pixels(self, images, execution, ["noise"], ["scale"])
         return super()._run_list(images, execution)
 
 

@@ -282,9 +282,6 @@ class Spatter(LayerAugmentation, keeps_contract=True):
             noise = NoiseOfList(self._param_generator.maps["noise"], source, images)
         return self._operation(like, {**params, "noise": noise})
 
-    def _operates_on(self, dtype: torch.dtype) -> bool:
-        return dtype != torch.float64 and super()._operates_on(dtype)
-
 
 Layers: TypeAlias = Tensor | Sequence[Tensor]  # (B, 1, H, W), or (1, H, W) of each image of a list
 Noise: TypeAlias = Layers | NoiseOfList  # of as many layers
@@ -333,7 +330,7 @@ def _layers(
         and (fused := spatter_layers(noise, smoothing, parameters, softening)) is not None
     ):
         return fused
-    smoothed = on_layers(smoothing, noise.each() if isinstance(noise, NoiseOfList) else noise)
+    smoothed = on_layers(smoothing, noise.each(parameters.dtype) if isinstance(noise, NoiseOfList) else noise)
     if softening is not None:
         return _as_batch(on_layers(softening, on_layers(Operation(mark_stains, (parameters,)), smoothed))), None
     depths = on_layers(Operation(drop_depths, (parameters,)), smoothed)

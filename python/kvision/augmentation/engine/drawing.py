@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from copy import copy
 from typing import Any
 
 import torch
@@ -21,6 +23,7 @@ from kvision.augmentation.engine.execution import (
 )
 from kvision.augmentation.keys import Keys, Seed, check_seeds, draw_keys
 from kvision.augmentation.noise import PixelNoise
+from kvision.geometry.transform.lists.arguments import sizes
 
 
 class Drawing(Declaration):
@@ -154,14 +157,31 @@ class Drawing(Declaration):
         params.update(self._named(values, execution))
         if generator.per_pixel and (execution.redraw or execution.noise):
             noise = self._pixel_noise(execution, execution.redraw, x.device)
-            # The noise that `_params` has is float32.
-            is_fused = self.fuses_noise and execution.frames == 1 and x.dtype != torch.float64
+            is_fused = self.fuses_noise and execution.frames == 1 and not self._draws_maps(x.dtype)
             if is_fused and not self._is_customized():
                 chosen = None if execution.is_certain else execution.columns.chosen
                 params["_noise"] = (values, noise._replace(chosen=chosen))
             else:
                 params.update(self._pixel_params(values, execution, noise))
         return params
+
+    def _draws_maps(self, dtype: torch.dtype) -> bool:
+        """Whether images of a type get the numbers of pixels of `_params`, float32, and not those that its operator draws."""
+        generator = self._param_generator
+        if generator is None or not generator.per_pixel or generator.is_exact:
+            return False
+        return self.fuses_noise and dtype == torch.float64
+
+    def _with_maps(self, images: Sequence[Tensor], execution: Execution) -> Execution:
+        """The execution on a list, with numbers of pixels as parameters where it draws maps of them."""
+        if execution.params is not None or execution.columns is None or not self._draws_maps(images[0].dtype):
+            return execution
+        own, generator, values = copy(execution), self._param_generator, execution.columns.values
+        assert generator is not None
+        noise = self._pixel_noise(execution, execution.redraw, images[0].device)
+        maps = generator.pixel_params(values, (*execution.shape[:2], *sizes(images)), noise)
+        own.params = {**self._named(values, execution), **maps}
+        return own
 
     def _drawn_params(self, x: Tensor, execution: Execution) -> Params:
         """The same without numbers of pixels, but those that are given."""

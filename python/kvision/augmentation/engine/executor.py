@@ -170,14 +170,7 @@ class Executor(Drawing):
         return (
             type(self)._operation is not Executor._operation
             and not self._is_customized()
-            and (
-                self.filters_chosen
-                or (
-                    self.fuses_noise and dtype != torch.float64
-                    if is_per_pixel
-                    else self.keeps_unchosen or self.fuses_noise
-                )
-            )
+            and (self.filters_chosen or (self.fuses_noise if is_per_pixel else self.keeps_unchosen or self.fuses_noise))
             and self._result_dtype(dtype) == dtype
         )
 

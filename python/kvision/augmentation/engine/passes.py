@@ -97,7 +97,7 @@ class Alone(NamedTuple):
         module, execution = running.modules[self.number], running.executions[self.number]
         if module.warps_lists_by_matrix or running.begins_with_batch:
             execution.matrix = transform_matrix(running.columns_for(images[0], len(images)), self.chain)
-        y = module._run_list(images, execution)
+        y = module._run_list(images, module._with_maps(images, execution))
         if not running.begins_with_batch:
             return y, None
         y = torch.stack(y) if isinstance(y, list) else y  # as of LongestMaxSize(1), whose results are one pixel

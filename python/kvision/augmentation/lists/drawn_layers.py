@@ -46,7 +46,8 @@ def spatter_layers(
 
 def blurred_maps(noise: NoiseOfList, sigma: float, border: int) -> Tensor | None:
     """The maps (B, 2, H, W) of noise, blurred by `sigma` sides of each image; None where no kernel serves them."""
-    if not _blurred_maps.serves(noise.images[0].new_empty(1, dtype=torch.float32)):
+    like = noise.images[0]
+    if not _blurred_maps.serves(like.new_empty(1, dtype=compute_dtype(like))):
         return None
     sides, (keys, seeds, chosen, plan) = sizes(noise.images), noise.source.arguments()
     scales = torch.tensor([(0.0, noise.map.most * height) for height in sides[::2]], device="cpu")

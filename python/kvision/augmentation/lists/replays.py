@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import torch
 from torch import Tensor
 
 from kvision.augmentation.engine import Execution, Params
@@ -13,12 +14,14 @@ from kvision.augmentation.sample_rows import index_of
 
 
 def replay_pixels(
-    module: Any, images: Sequence[Tensor], params: Params, names: Sequence[str], of_images: Sequence[str] = ()
+    module: Any, images: Sequence[Tensor], execution: Execution, names: Sequence[str], of_images: Sequence[str] = ()
 ) -> list[Tensor]:
     """What an augmentation makes of images each pixel of which becomes what its own numbers say: maps of these names, and numbers
     of its image.
     """
-    results, rows = list(images), chosen_rows(params)
+    params, results = execution.params or {}, list(images)
+    is_drawn = "batch_prob" not in params  # so that which are chosen is not known to the host
+    rows = list(range(len(images))) if is_drawn else chosen_rows(params)
     if not rows:
         return results
     row = PixelRow([images[i] for i in rows])
@@ -28,6 +31,8 @@ def replay_pixels(
         numbers = params[name].to(pixels.device)
         own[name] = row.of_images(numbers[index_of(rows, numbers)])[None, None, None]
     y = module._run(pixels, Execution(tuple(pixels.shape), params=own), module.flags).flatten()
+    if is_drawn and execution.chosen is not None:
+        y = torch.where(row.of_images(execution.chosen), y, pixels.flatten())
     for i, result in zip(rows, row.split(y)):
         results[i] = result
     return results

@@ -103,8 +103,7 @@ class ErasingDropout(DropoutBase, keeps_contract=True):
         return Operation(self.eraser, (parts, values))
 
     def _operates_on(self, dtype: torch.dtype) -> bool:
-        has_kernel = runs_on_lists(self.eraser) and not self._is_customized()
-        return has_kernel and not (isinstance(self.fill, str) and dtype == torch.float64)  # whose noise is float32
+        return runs_on_lists(self.eraser) and not self._is_customized()
 
     def _run_list(self, images: Sequence[Tensor], execution: Execution) -> list[Tensor]:
         erasing = self._erasing_of_list(images, like_batch(images), execution)

@@ -250,7 +250,7 @@ class MaskDropout(DropoutBase, keeps_contract=True):
         return marks.view(torch.uint8)
 
     def _operates_on(self, dtype: torch.dtype) -> bool:
-        return not self._is_customized() and not (isinstance(self.fill, str) and dtype == torch.float64)
+        return not self._is_customized()
 
     def _run_list(self, images: Sequence[Tensor], execution: Execution) -> list[Tensor]:
         marks = self._marks(images, execution).to(images[0].device)

@@ -40,6 +40,7 @@ class RandomGeneratorBase(nn.Module):
     fields: Sequence[tuple[str, int]] = ()
     hidden: Sequence[str] = ()  # fields that are no parameters
     per_pixel = False  # there are `pixel_params` besides
+    is_exact = False  # in which float32 has the numbers that operators draw for images of float64
     derives = False  # the columns follow from the drawn ones by `derive`
     has_names = True  # False if users see none of the columns, so that given parameters can lack none
 
@@ -107,8 +108,12 @@ class RandomGeneratorBase(nn.Module):
         parts = [params[name] if width else params[name][:, None] for name, width in self.fields]
         return torch.cat(parts, 1) if parts else torch.empty(shape[0], 0, device="cpu")
 
-    def pixel_params(self, columns: Tensor, shape: Shape, noise: PixelNoise) -> dict[str, Tensor]:
-        """Parameters with numbers of their own for each pixel, which come from the noise of the key of a call."""
+    def pixel_params(self, columns: Tensor, shape: Shape, noise: PixelNoise) -> dict[str, Any]:
+        """Parameters with numbers of their own for each pixel, which come from the noise of the key of a call.
+
+        Those that are drawn where they are used, but for exact ones, are lists for the shape (B, C) of a list with height and
+        width of each image.
+        """
         return {}
 
     def forward(self, batch_shape: Shape, same_on_batch: bool = False) -> dict[str, Tensor]:

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import cycle
 from typing import Any, NamedTuple, Protocol
 
+import torch
 from torch import Tensor
 
 from kvision._ops import Operator
 from kvision.augmentation.draws import integer, uniform
-from kvision.augmentation.noise import MULTIPLY, SHARED, PixelNoise, gaussian_noise, uniform_noise
+from kvision.augmentation.lists.pixels import given_maps
+from kvision.augmentation.noise import MULTIPLY, SHARED, PixelNoise, gaussian_noise, on_numbers, uniform_noise
 from kvision.augmentation.random_generator.base import Shape
 from kvision.augmentation.random_generator.plain import PlainUniformGenerator
 from kvision.augmentation.ranges import LearnedUniform, Range
+from kvision.geometry.transform.lists.kept_sizes import Operation
 
 __all__: list[str] = []  # Kornia has none of these
 
@@ -20,14 +24,16 @@ __all__: list[str] = []  # Kornia has none of these
 class Map(Protocol):
     """What draws numbers of each pixel."""
 
-    def draw(self, noise: PixelNoise, shape: Shape, number: int) -> Tensor:
-        """The map with a number of its own among those of an augmentation, float32."""
+    def draw(self, noise: PixelNoise, shape: Shape, number: int) -> Any:
+        """The map with a number of its own among those of an augmentation, float32; with sizes of a list one of each image."""
         ...
 
 
 def map_size(size: Sequence[int | None], shape: Shape) -> list[int]:
     """(B, channels, height, width) of a map for images of a shape, whose own sizes stand for None."""
-    return [shape[0], *(n if own is None else own for own, n in zip(size, shape[1:]))]
+    channels, *sides = size
+    own = [n if side is None else side for side, n in zip(cycle(sides), shape[2:])]  # of each image of a list
+    return [shape[0], shape[1] if channels is None else channels, *own]
 
 
 class NoiseMap(NamedTuple):
@@ -36,9 +42,11 @@ class NoiseMap(NamedTuple):
     normal: bool = False
     size: tuple[int | None, int | None, int | None] = (None, None, None)  # None: that of the images
 
-    def draw(self, noise: PixelNoise, shape: Shape, number: int) -> Tensor:
-        """The map with a number of its own among those of an augmentation, float32."""
+    def draw(self, noise: PixelNoise, shape: Shape, number: int) -> Any:
+        """The map with a number of its own among those of an augmentation, float32; with sizes of a list one of each image."""
         size = map_size(self.size, shape)
+        if len(size) > 4:
+            return self.draw_list(noise, [(size[1], *side) for side in zip(size[2::2], size[3::2])], number)
         return noise.normal(size, map=number) if self.normal else noise.uniform(size, number)
 
     def draw_list(self, noise: PixelNoise, shapes: Sequence[Shape], number: int) -> list[Tensor]:
@@ -54,10 +62,10 @@ class NoiseOfList(NamedTuple):
     source: PixelNoise
     images: Sequence[Tensor]
 
-    def each(self) -> list[Tensor]:
+    def each(self, dtype: torch.dtype) -> list[Tensor]:
         """The map of each image."""
         drawn: list[Tensor] = self.map.draw_list(self.source, [tuple(x.shape) for x in self.images], 0)
-        return drawn
+        return drawn if dtype == torch.float32 else given_maps(drawn, self.source.device, dtype)
 
 
 class MappedGenerator(PlainUniformGenerator):
@@ -83,6 +91,7 @@ class MappedGenerator(PlainUniformGenerator):
         self.integers, self.maps = dict(integers or {}), dict(maps or {})
         self.fields = (*self.fields, *((name, 0) for name in self.integers))
         self.per_pixel = bool(self.maps)
+        self.is_exact = all(getattr(map, "is_exact", False) for map in self.maps.values())
 
     def draws(self, shape: Shape) -> Sequence[Any]:
         own = (integer(low, high, low, *step) for low, high, *step in self.integers.values())
@@ -134,5 +143,5 @@ class FactorsGenerator(PlainUniformGenerator):
         return [uniform(mean, mean, 1.0), uniform(scale, scale)]
 
     def pixel_params(self, columns: Tensor, shape: Shape, noise: PixelNoise) -> dict[str, Tensor]:
-        ones = columns.new_ones(map_size(self.size, shape))
-        return {"factors": self.draw(ones, columns, *noise.arguments(form=self.form))}
+        drawing = Operation(self.draw, (columns, *noise.arguments(form=self.form)))
+        return {"factors": on_numbers(drawing, map_size(self.size, shape), 1.0, columns)}

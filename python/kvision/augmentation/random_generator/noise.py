@@ -10,9 +10,10 @@ from torch import Tensor
 
 from kvision.augmentation import ranges
 from kvision.augmentation.draws import uniform
-from kvision.augmentation.noise import PixelNoise, gaussian_noise, salt_and_pepper
+from kvision.augmentation.noise import PixelNoise, gaussian_noise, on_numbers, salt_and_pepper
 from kvision.augmentation.random_generator.base import RandomGeneratorBase, Shape
 from kvision.augmentation.ranges import Numbers
+from kvision.geometry.transform.lists.kept_sizes import Operation
 
 __all__ = ["GaussianNoiseGenerator", "SaltAndPepperGenerator"]
 
@@ -52,8 +53,8 @@ class GaussianNoiseGenerator(RandomGeneratorBase):
         return {}
 
     def pixel_params(self, columns: Tensor, shape: Shape, noise: PixelNoise) -> dict[str, Tensor]:
-        zero = columns.new_zeros(tuple(shape))
-        return {"gaussian_noise": gaussian_noise(zero, columns, *noise.arguments())}
+        drawing = Operation(gaussian_noise, (columns, *noise.arguments()))
+        return {"gaussian_noise": on_numbers(drawing, shape, 0.0, columns)}
 
 
 class SaltAndPepperGenerator(RandomGeneratorBase):
@@ -76,7 +77,7 @@ class SaltAndPepperGenerator(RandomGeneratorBase):
     """
 
     fields = (("amount_factor", 0), ("salt_and_pepper_factor", 0))
-    per_pixel = True
+    per_pixel = is_exact = True
 
     def __init__(self, amount: Numbers, salt_and_pepper: Numbers) -> None:
         super().__init__()

@@ -90,7 +90,7 @@ def is_hit(columns: Tensor, noise: PixelNoise, form: int, shape: Shape) -> Tenso
 class PixelDropoutGenerator(PlainUniformGenerator):
     """Draws the probability that a pixel is dropped, and which ones are."""
 
-    per_pixel = True
+    per_pixel = is_exact = True
     hidden = ("salt",)
 
     def __init__(self, probability: Any, form: int, fill: float | list[float] | str) -> None:

@@ -4,6 +4,8 @@ import pytest
 import torch
 from torch import Tensor
 
+from augmentation.container.test_list_launches import Launches
+from kvision import augmentation as A
 from kvision.augmentation.corruption.layer import add_layer, layered
 from kvision.geometry.transform.lists.kept_sizes import Operation
 from kvision.geometry.transform.lists.remap_list import packed
@@ -93,3 +95,31 @@ def test_packed_layers_of_other_sizes_are_refused(backend):
     images, layers = [torch.rand(3, 5, 4), torch.rand(3, 7, 9)], [torch.rand(1, 5, 4), torch.rand(1, 9, 9)]
     with pytest.raises(RuntimeError, match="expected packed layers of the sizes of images"):
         layered(packed(layers), 1.0, 0.0, 1.0, 0.0).on_list(images)
+
+
+@pytest.mark.parametrize("has_windows", [False, True])
+@pytest.mark.parametrize("dtype", [torch.float64, torch.float32, torch.float16], ids=str)
+def test_gradients_of_batches_are_those_of_the_reference(dtype, has_windows, device):
+    """Which is differentiated where a factor wants a gradient, too."""
+    own = torch.float64 if dtype == torch.float64 else torch.float32
+    x = torch.rand(3, 2, 12, 17).to(device, dtype).requires_grad_()
+    layer = torch.rand(3, 1, *((19, 23) if has_windows else (12, 17)), dtype=own, device=device)
+    windows = torch.tensor([[0, 1, 2], [2, 7, 6], [1, 0, 0]], device=device) if has_windows else None
+    arguments = layer, windows, factors(x).to(device, own)
+    y, weights = Operation(add_layer, arguments)(x), torch.rand(3, 2, 12, 17).to(device, dtype)
+    assert_close(y, add_layer(x.detach(), *arguments), 1e-3, 1e-3)
+    (found,) = torch.autograd.grad(y, x, weights)
+    expected = add_layer.differentiate_reference((True, False, False, False), weights, x.detach(), *arguments)[0]
+    rounding = 2e-3 if dtype == torch.float16 else 1e-5
+    assert_close(found, expected, rounding, rounding)
+
+
+@pytest.mark.parametrize("make", [lambda: A.RandomRain(p=1.0), lambda: A.RandomPlasmaShadow(p=1.0)])
+def test_gradients_of_batches_take_one_call(make, backend):
+    if backend == "reference":
+        pytest.skip("this test is about the kernels")
+    x = torch.rand(4, 3, 40, 50).requires_grad_()
+    y = make()(x)
+    with Launches() as counted:
+        torch.autograd.grad(y, x, torch.ones_like(y))
+    assert counted.count <= 3  # and the gradients of stacked images

@@ -7,16 +7,19 @@ from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
-from torch.compiler import is_compiling
 
 from kvision._clamp import clamp
 from kvision._dtype import compute_dtype
 from kvision._list_ops import ListOperator
-from kvision._torch_compat import in_function_transform
 from kvision.augmentation.corruption.layer import add_layer, arguments_of_sample
 from kvision.geometry.transform.lists import arguments as lists
 from kvision.geometry.transform.lists.arguments import row
-from kvision.geometry.transform.lists.kept_sizes import by_samples, register_list_backward, where_chosen
+from kvision.geometry.transform.lists.kept_sizes import (
+    by_samples,
+    register_list_backward,
+    wants_gradients_of_list,
+    where_chosen,
+)
 
 
 def fog_factors(most: Tensor, numbers: Tensor, are_bytes: bool) -> Tensor:
@@ -92,8 +95,7 @@ class Fog(NamedTuple):
     def __call__(self, images: Tensor) -> Tensor:
         if not images.shape[1]:  # which have no largest value
             return images.clone()
-        is_of_images = images.requires_grad and not (self.layer.requires_grad or self.numbers.requires_grad)
-        if is_of_images and torch.is_grad_enabled() and len(images) and not (is_compiling() or in_function_transform()):
+        if wants_gradients_of_list(images, self.layer, self.numbers):
             return torch.stack(self.on_list(list(images.unbind())))  # whose gradient has a kernel
         factors = fog_factors(images.amax((1, 2, 3)), self.numbers, images.dtype == torch.uint8)
         y: Tensor = add_layer(images, self.layer, None, factors)

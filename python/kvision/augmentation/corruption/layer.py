@@ -83,6 +83,7 @@ register_filter(
     arguments_of_sample,
     of_images=lambda grads, images, *args: _add_layer_list_backward([*images, *grads], *args),
     by_image=_by_image,
+    differentiates_batches=True,
 )
 
 

@@ -7,10 +7,12 @@ from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
+from torch.compiler import is_compiling
 
 from kvision._constants import on_device
 from kvision._list_ops import ListOperator
 from kvision._ops import Operator
+from kvision._torch_compat import in_function_transform
 from kvision.geometry.transform.lists import arguments as lists
 from kvision.geometry.transform.lists.arguments import row
 
@@ -18,11 +20,19 @@ Arguments = tuple[Any, ...]
 _OF_LISTS: dict[Operator, ListOperator] = {}
 _FILTERS: set[ListOperator] = set()
 _KEPT: dict[ListOperator, Callable[..., Arguments]] = {}
+_DIFFERENTIATES_BATCHES: set[Operator] = set()
 
 
 def runs_on_lists(operator: Operator) -> bool:
     """Whether an operator on batches has a kernel for lists."""
     return operator in _OF_LISTS
+
+
+def wants_gradients_of_list(images: Tensor, *others: Any) -> bool:
+    """Whether a batch wants gradients, those of images alone, outside of graphs and transforms: those of the list of its images."""
+    if not images.requires_grad or not torch.is_grad_enabled() or is_compiling() or in_function_transform():
+        return False
+    return images.numel() > 0 and not any(isinstance(x, Tensor) and x.requires_grad for x in others)
 
 
 class Operation(NamedTuple):
@@ -32,6 +42,8 @@ class Operation(NamedTuple):
     arguments: Arguments
 
     def __call__(self, images: Tensor) -> Tensor:
+        if self.operator in _DIFFERENTIATES_BATCHES and wants_gradients_of_list(images, *self.arguments):
+            return torch.stack(self.on_list(list(images.unbind())))
         return _first(self.operator(images, *self.arguments))
 
     def on_list(self, images: Sequence[Tensor], chosen: Tensor | None = None) -> list[Tensor]:
@@ -239,6 +251,7 @@ def register_filter(
     by_image: Callable[..., Arguments] = lambda images, *args: args,
     saves_results: bool = False,
     of_channels: Sequence[int] | None = None,
+    differentiates_batches: bool = False,
 ) -> ListOperator:
     """The operator on lists of a filter.
 
@@ -258,6 +271,8 @@ def register_filter(
         by_image: the arguments as `of_sample` takes them, for the images and those of the operator.
         saves_results: `of_images` takes the results between the gradients and the images.
         of_channels: sizes behind (B, C) of what the operators return of each channel behind the images; None if nothing.
+        differentiates_batches: an operation on a batch whose images alone want gradients is one on the list of these, as `of` is
+            differentiated by its reference.
     """
 
     of_batch = backward or _of_reference(of)
@@ -294,6 +309,8 @@ def register_filter(
 
     operator = _register(name, of, reference, gradients, supports, saves_results=saves_results, of_channels=of_channels)
     _FILTERS.add(operator)
+    if differentiates_batches:
+        _DIFFERENTIATES_BATCHES.add(of)
     return operator
 
 

@@ -222,3 +222,15 @@ def test_functions_that_make_their_matrix(device):
     index = torch.tensor([1, 0, 1], device=device)
     crops = G.crop_and_resize(x, boxes.expand(3, 4, 2), (7, 9), box_indices=index, antialias=True)
     assert_close(crops, G.warp_affine(x, M, (7, 9), antialias=True)[index], 0, 2e-6)
+
+
+@pytest.mark.parametrize("wants_gradient", [False, True])
+def test_shapes_of_tensors_without_values(wants_gradient):
+    image = torch.empty(2, 3, 20, 30, device="meta", requires_grad=wants_gradient)
+    matrix, grid = torch.empty(2, 3, 3, device="meta"), torch.empty(2, 9, 10, device="meta")
+    for y in (
+        K.geometry.warp_perspective(image, matrix, (9, 10), antialias=True),
+        K.geometry.warp_affine(list(image), matrix[:, :2], (9, 10), antialias=True),
+        K.geometry.remap(image, grid, grid, antialias=True),
+    ):
+        assert y.is_meta and y.shape == (2, 3, 9, 10) and y.requires_grad == wants_gradient

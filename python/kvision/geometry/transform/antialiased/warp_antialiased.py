@@ -123,8 +123,8 @@ def sample_antialiased(
 
 
 def _count_taps(center: Tensor, reach: Tensor) -> int:
-    """How many taps along an axis the widest window has; the largest number where no graph may depend on it."""
-    if is_compiling():
+    """How many taps along an axis the widest window has; the largest number where nothing may depend on it, or is known."""
+    if is_compiling() or center.is_meta:
         return 2 * MAX_REACH
     count = without_transforms(((center + reach).floor() - (center - reach).ceil()).detach() + 1)
     return int(count.max()) if count.numel() else 1

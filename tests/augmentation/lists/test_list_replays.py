@@ -256,3 +256,41 @@ def test_maps_of_pixels_are_not_replayed_on_other_sizes(name, device):
         augment(batch)
         with pytest.raises(ShapeError, match="expected params of images of size"):
             augment(other, params=augment._params)
+
+
+OF_CHANNELS = {
+    "RandomGaussianNoise",
+    "RandomSaltAndPepperNoise",
+    "RandomPlasmaBrightness",
+    "RandomLinearIllumination",
+    "RandomChannelShuffle",
+    "RandomChannelDropout",
+    "SpeckleNoise",
+    "ShotNoise",
+}
+
+
+@pytest.mark.filterwarnings("ignore:.*this call has no")
+@pytest.mark.parametrize("case", IMAGES, ids=lambda case: case.name)
+def test_parameters_replay_on_other_channels_or_are_refused_by_name(case, device):
+    """Those of maps of two planes, which move pixels, on images of two channels, too."""
+    images = pictures(device, [(26 + i, 40 - i) for i in range(3)])
+    for before, after in ((3, 4), (3, 1), (1, 3), (2, 3)):
+        old, new = ([x[[0, 1, 2, 0][:channels]] for x in images] for channels in (before, after))
+        for is_list in (False, True):
+            first, second = (x if is_list else torch.stack([y[:, :20, :20] for y in x]) for x in (old, new))
+            augment = case.make(p=1.0)
+            try:
+                augment(first)
+                augment(second)
+            except ValueError:
+                continue  # other numbers of channels are refused anyway
+            augment(first)
+            try:
+                results = augment(second, params=augment._params)
+                assert results[0].shape[0] == after
+            except ShapeError as error:
+                assert f"{case.name}: expected params of images of {after} channels" in str(error)
+                assert before > 1 or case.name == "RandomChannelShuffle" or case.name == "RandomChannelDropout"
+            else:
+                assert before == 1 or case.name not in OF_CHANNELS

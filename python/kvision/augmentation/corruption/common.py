@@ -243,6 +243,11 @@ class Shifts(NamedTuple):
 
     most: float
 
+    @property
+    def moves_pixels(self) -> bool:
+        """All channels alike."""
+        return True
+
     def draw(self, noise: PixelNoise, shape: Sequence[int], number: int) -> Tensor:
         """The map with a number of its own among those of an augmentation, float32."""
         return noise.symmetric((shape[0], 2, *shape[2:]), number, self.most * shape[2])

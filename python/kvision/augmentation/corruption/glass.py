@@ -135,6 +135,11 @@ class Moves(NamedTuple):
     steps: int
 
     @property
+    def moves_pixels(self) -> bool:
+        """All channels alike."""
+        return True
+
+    @property
     def is_exact(self) -> bool:
         """Words of 32 bits as two numbers of 16 bits."""
         return True

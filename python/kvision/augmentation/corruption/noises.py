@@ -130,8 +130,9 @@ class ShotNoise(IntensityAugmentationBase2D, keeps_contract=True):
     def _operation(self, like: Tensor, params: Params) -> Operation:
         if "_noise" in params:
             return drawing(shot_noise, like, *params["_noise"])
-        step = params["scale"]
-        return drawing(shot_noise, like, torch.stack([step, torch.full_like(step, _GAMMA)], 1), params["noise"])
+        step, noise = params["scale"], params["noise"]
+        noise = noise.expand(like.shape) if noise.dim() == 4 else noise  # of one channel; those of a list are packed
+        return drawing(shot_noise, like, torch.stack([step, torch.full_like(step, _GAMMA)], 1), noise)
 
     def _operation_on_list(self, images: Sequence[Tensor], like: Tensor, execution: Execution) -> Operation:
         params = self._params_on_device(like, execution, for_users=False)

@@ -27,12 +27,21 @@ def check_batch_of_params(op: str, count: int, batch: int) -> None:
         raise ShapeError(f"{op}: expected params of a batch of {batch}, got those of {count} images")
 
 
-def check_maps_of_params(op: str, params: Params, sides: Sequence[int]) -> None:
-    """Raise ShapeError where maps of pixels replay on images of another size: height and width of each image, or of all."""
+def check_maps_of_params(module: Any, params: Params, channels: int, sides: Sequence[int]) -> None:
+    """Raise ShapeError where numbers of pixels or of channels replay on other images: of so many channels, with height and width of
+    each image, or of all.
+    """
+    op, generator = type(module).__name__, module._param_generator
     drawn = params.get("forward_input_shape")
     maps = [x for x in params.values() if isinstance(x, list) or (isinstance(x, Tensor) and x.dim() > 3)]
-    if not maps or drawn is None or drawn.is_cuda or is_compiling():
+    is_of_channels = generator is not None and generator.draws_channels
+    if not (maps or is_of_channels) or drawn is None or drawn.is_cuda or is_compiling():
         return
+    before_channels = int(drawn.reshape(-1, drawn.shape[-1])[0, -3])
+    if before_channels != channels and generator is not None:
+        planes = {own[0].shape[-3] if isinstance(own, list) else own.shape[1] for own in maps if len(own)}
+        if is_of_channels or (generator.has_planes_of_images and before_channels in planes - {1}):
+            raise ShapeError(f"{op}: expected params of images of {channels} channels, got those of {before_channels}")
     each = list(zip(sides[::2], sides[1::2]))
     before = [tuple(shape[-2:]) for shape in drawn.reshape(-1, drawn.shape[-1]).tolist()]
     count = max(len(each), len(before))

@@ -122,7 +122,7 @@ class Executor(Drawing):
     def _replay_and_run(self, x: Tensor, params: Params, flags: dict[str, Any]) -> tuple[Tensor, Execution]:
         """Execute with given parameters."""
         execution = self._execution = self._from_params(params, x)  # before it runs, as above
-        check_maps_of_params(type(self).__name__, params, x.shape[-2:])
+        check_maps_of_params(self, params, x.shape[1], x.shape[-2:])
         return self._run(x, execution, flags), execution
 
     def _copied_pieces(self, execution: Execution) -> Tensor | None:

@@ -397,7 +397,7 @@ class ListReplay:
         of_list = ImagesOfList(plan.sized, sides_of(images))
         for number, (child, execution) in enumerate(zip(children, executions)):
             own = of_list.sides_before(number, execution.shape)
-            check_maps_of_params(type(child.module).__name__, child.params, own)
+            check_maps_of_params(child.module, child.params, execution.shape[1], own)
         if columns is not None:
             columns = columns_of_sizes(plan.sized, children, executions, columns, of_list.sides)
             for execution in executions:

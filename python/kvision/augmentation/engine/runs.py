@@ -160,7 +160,7 @@ def _execute_run(
     if run[0].params is not None:
         executions, columns = replayed(x, run)
         for child, execution in zip(run, executions):
-            check_maps_of_params(type(child.module).__name__, child.params, execution.shape[-2:])
+            check_maps_of_params(child.module, child.params, execution.shape[1], execution.shape[-2:])
         steps: Sequence[Step] = plan_steps(modules, executions, context.once, x.dtype, context.output)
     else:
         keys = None

@@ -40,6 +40,8 @@ class RandomGeneratorBase(nn.Module):
     fields: Sequence[tuple[str, int]] = ()
     hidden: Sequence[str] = ()  # fields that are no parameters
     per_pixel = False  # there are `pixel_params` besides
+    draws_channels = False  # numbers of them, which others have not
+    has_planes_of_images = True  # as many as images have, or one
     is_exact = False  # in which float32 has the numbers that operators draw for images of float64
     derives = False  # the columns follow from the drawn ones by `derive`
     has_names = True  # False if users see none of the columns, so that given parameters can lack none

@@ -95,6 +95,8 @@ class ChannelShuffleGenerator(RandomGeneratorBase):
         tensor([3, 3])
     """
 
+    draws_channels = True
+
     def draws(self, shape: Shape) -> Sequence[Draw]:
         return [Draw("permutation", (shape[1], 0, 1))]
 
@@ -123,6 +125,8 @@ class ChannelDropoutGenerator(RandomGeneratorBase):
         >>> K.augmentation.random_generator.ChannelDropoutGenerator(3)((1, 3, 8, 8))["channel_idx"].sort().values
         tensor([[0, 1, 2]])
     """
+
+    draws_channels = True
 
     def __init__(self, num_drop_channels: int) -> None:
         super().__init__()

@@ -21,6 +21,7 @@ class ElasticGenerator(RandomGeneratorBase):
     """Draws noise (B, 2, H, W) in [-1, 1]."""
 
     per_pixel = True
+    has_planes_of_images = False
 
     def draws(self, shape: Shape) -> Sequence[Any]:
         return []

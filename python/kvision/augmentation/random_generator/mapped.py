@@ -91,6 +91,7 @@ class MappedGenerator(PlainUniformGenerator):
         self.integers, self.maps = dict(integers or {}), dict(maps or {})
         self.fields = (*self.fields, *((name, 0) for name in self.integers))
         self.per_pixel = bool(self.maps)
+        self.has_planes_of_images = not any(getattr(map, "moves_pixels", False) for map in self.maps.values())
         self.is_exact = all(getattr(map, "is_exact", False) for map in self.maps.values())
 
     def draws(self, shape: Shape) -> Sequence[Any]:

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from kvision._dtype import compute_dtype
 from kvision._modes import INTERPOLATION, PADDING
-from kvision._ops import FastPath, register
+from kvision._ops import FastPath, match_layout, register
 from kvision.augmentation import transforms
 from kvision.augmentation.columns import Column, Input, Names, bind, split_inputs
 from kvision.augmentation.transforms import MAX_TRANSFORMS, Transform
@@ -400,6 +400,10 @@ class ColorPart(NamedTuple):
     steps: Sequence[ColorStep]
     order: Sequence[int] | None = None
 
+    @property
+    def has_contrast(self) -> bool:
+        return any(step.name == "contrast" for step in self.steps)
+
 
 class Output(NamedTuple):
     """The type and the layout of a result; None for those of the images."""
@@ -449,8 +453,15 @@ class Pass(NamedTuple):
         if x.dim() == 5:  # a volume, whose slices are those of one high image
             y, matrix = self.run(x.flatten(2, 3), columns)
             return y.unflatten(2, x.shape[2:4]), matrix
-        y, matrix, _ = warp_and_color(x, *self.arguments(x, columns))
-        return y, matrix
+        y, matrix, _ = warp_and_color(as_plane(x) if self.takes_planes(x) else x, *self.arguments(x, columns))
+        return match_layout(y.view(x.shape), x) if self.takes_planes(x) else y, matrix
+
+    def takes_planes(self, x: Tensor) -> bool:
+        """Whether the channels of images (*, C, H, W) are rows of one: kernels have contrast of three channels or one, and the mean
+        of others is that of all their values.
+        """
+        is_plain = not self.warps and self.plan[1] < 0 and x.numel() > 0
+        return is_plain and x.shape[-3] not in (1, 3) and self.has_contrast
 
     def arguments(self, x: Tensor, columns: Tensor | None) -> tuple[Any, ...]:
         """The arguments of the operator behind images (B, C, H, W), of which the size does not count."""
@@ -469,6 +480,11 @@ class Pass(NamedTuple):
         if not self.splits or x.dtype not in SPLIT:
             return self.numbers
         return [SPLIT[x.dtype] if i in self.splits else number for i, number in enumerate(self.numbers)]
+
+
+def as_plane(x: Tensor) -> Tensor:
+    """Images (*, C, H, W) with the rows of all channels in one, (*, 1, C * H, W)."""
+    return x.flatten(-3, -2).unsqueeze(-3)
 
 
 def make_pass(

@@ -125,9 +125,6 @@ def test_calls_with_options(name, dtype, backend):
     assert grows(augment, pictures("cpu", SIZES, dtype)) == (name in OPTIONS_BY_SIZE)
 
 
-OF_THREE_CHANNELS = {"ColorJitter"}  # others image by image, as docs/inputs.md says
-
-
 @pytest.mark.parametrize("channels", [1, 2, 4])
 @pytest.mark.parametrize("case", IMAGES, ids=lambda case: case.name)
 def test_launches_for_other_channels(case, channels, backend):
@@ -141,16 +138,22 @@ def test_launches_for_other_channels(case, channels, backend):
         except ValueError:
             pytest.skip("it takes three channels")
         counts.append(launches(augment, some, seed=0))
-    assert (counts[1] > counts[0]) == (channels > 1 and case.name in OF_THREE_CHANNELS)
+    assert counts[1] <= counts[0]
 
 
 @pytest.mark.parametrize("channels", [2, 4])
-@pytest.mark.parametrize("name", ["RandomGrayscale", "Normalize", "RandomChannelDropout", "factors"])
+@pytest.mark.parametrize(
+    "name", ["RandomGrayscale", "Normalize", "RandomChannelDropout", "factors", "ColorJitter", "behind a warp"]
+)
 def test_other_channels_become_what_those_of_each_image_become(name, channels, device):
     make = {
         "RandomGrayscale": lambda: A.RandomGrayscale(p=0.5),
         "Normalize": lambda: A.Normalize([0.1, 0.2, 0.3, 0.4][:channels], [0.5, 0.6, 0.7, 0.8][:channels], p=0.5),
         "RandomChannelDropout": lambda: A.RandomChannelDropout(1, 0.3, p=0.5),
+        "ColorJitter": lambda: A.ColorJitter(0.3, 0.5, p=0.7),
+        "behind a warp": lambda: A.ImageSequential(
+            A.RandomAffine(20.0), A.RandomGamma((0.5, 1.5), p=0.7), A.ColorJitter(0.3, 0.5, p=0.7), A.RandomPosterize()
+        ),
         "factors": lambda: A.MultiplicativeNoise((0.5, 1.5), per_channel=True, p=0.5),
     }[name]
     for dtype in (torch.float32, torch.uint8):
@@ -195,7 +198,7 @@ def test_calls_of_policies(name, dtype, backend):
     assert calls(augment, images) <= most and not grows(augment, images)
 
 
-@pytest.mark.parametrize("channels", [1, 3])
+@pytest.mark.parametrize("channels", [1, 2, 3])
 @pytest.mark.parametrize("name", POLICIES)
 def test_calls_of_policies_on_float64(name, channels, backend):
     """Each operation that may occur is one, as on a batch."""

@@ -8,6 +8,7 @@ import torch
 from augmentation.test_lists import SMALL, assert_as_alone, pictures
 from kvision import augmentation as A
 from kvision.augmentation import channels as programs
+from op_tests import assert_close
 
 CHANGES = {
     "dropped": lambda p: A.RandomChannelDropout(p=p),
@@ -69,3 +70,20 @@ def test_a_shuffle_copies_what_is_no_finite_number(channels, device):
         x[i % channels, 1, 2], x[0, 0, 0] = torch.nan, torch.inf
     for x, y in zip(images, A.RandomChannelShuffle(p=0.8)(images, seed=torch.arange(8, device=device))):
         assert y.isnan().sum() == 1 and torch.equal(y.nan_to_num(7).sort(0).values, x.nan_to_num(7).sort(0).values)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=str)
+@pytest.mark.parametrize("channels", [2, 5])
+def test_contrast_of_other_channels_is_about_the_mean_of_all(channels, dtype, device):
+    """Of batches in any layout, videos and lists, by one call of an operator."""
+    x = torch.rand(3, channels, 9, 14, dtype=dtype, device=device)
+    mean = x.mean((1, 2, 3), keepdim=True)
+    expected = (mean + 0.5 * (x - mean)).clamp(0, 1)
+    augment = A.ColorJitter(contrast=(0.5, 0.5))
+    for batch in (x, x.contiguous(memory_format=torch.channels_last), x.flip(3).flip(3), x[:, :, :, None].squeeze(3)):
+        y = augment(batch)
+        assert_close(y, expected, 1e-6, 1e-6)
+        assert y.stride() == batch.stride()
+    assert_close(torch.stack(augment(list(x))), expected, 1e-6, 1e-6)
+    clips = x[:, None].expand(-1, 4, -1, -1, -1)
+    assert_close(A.VideoSequential(augment)(clips), expected[:, None].expand_as(clips), 1e-6, 1e-6)

@@ -26,6 +26,7 @@ from kvision.augmentation.engine.executor import Executor
 from kvision.augmentation.engine.lists import ListWarp
 from kvision.augmentation.engine.sized import ImagesOfList, Sized
 from kvision.augmentation.engine.stages import Applied, ByMatrix, Composed, Stage, Warp
+from kvision.augmentation.lists.conversions import run_on_list
 from kvision.augmentation.maps import read_composed_list, warp_covered, warp_covered_each
 from kvision.augmentation.samples import where_chosen
 from kvision.augmentation.transforms import MAX_TRANSFORMS, MatrixPlan, Transform, keeps_rows, transform_matrix
@@ -141,6 +142,8 @@ class Joined(NamedTuple):
 
     def _run_list(self, images: list[Tensor], columns: Tensor | None, sized: Sized) -> tuple[Any, Tensor | None]:
         """What the pass makes of a list: a batch with its matrices where an augmentation gives all images one size, or a list."""
+        if not self.image_pass.warps:
+            return run_on_list(self.image_pass, images, columns), None
         columns, fill, size, *rest = self.image_pass.arguments(like_batch(images), columns)
         if sized.own in self.geometric:
             y, matrix, _ = warp_and_color_list(images, columns, fill, size, *rest)
@@ -329,7 +332,12 @@ class _Planner:
             chain = self.chains.get(number) or module._bound(motion.chain or (), span)
         if colors is not None and has_columns:
             constants = module._constants(shape, execution.params)
-            self._add_colors(module._color_part(colors, span, constants), result)
+            part = module._color_part(colors, span, constants)
+            if (
+                self.geometric and shape[1] not in (1, 3) and part.has_contrast
+            ):  # which no kernel of warps has for these
+                self._end_warp()
+            self._add_colors(part, result)
         elif motion is not None and (motion.is_map or has_columns) and (self.once or motion.reads_by_matrix):
             self._add_motion(_Geometric(number, motion, chain, (shape[-2], shape[-1])))
         else:
@@ -345,6 +353,13 @@ class _Planner:
         self.parts.append(part)
         if result != self.dtype:
             self.dtype = self.converted = result
+
+    def _end_warp(self) -> None:
+        """End a pass before a color program of its own."""
+        if self.parts:
+            self._continue_colors()
+        else:
+            self._flush()
 
     def _add_motion(self, geometric: _Geometric) -> None:
         if self.parts or (self.geometric and not self._joins(geometric)):

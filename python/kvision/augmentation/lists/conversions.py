@@ -7,7 +7,14 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from kvision.augmentation.warp_and_color import ColorPart, ColorStep, Output, Pass, make_pass
+from kvision.augmentation.warp_and_color import (
+    ColorPart,
+    ColorStep,
+    Output,
+    Pass,
+    as_plane,
+    make_pass,
+)
 from kvision.augmentation.warp_and_color_list import warp_and_color_to_list
 from kvision.geometry.transform.lists.arguments import like_batch
 
@@ -33,4 +40,7 @@ def bytes_of_float_images(images: Sequence[Tensor]) -> list[Tensor]:
 def run_on_list(colors: Pass, images: Sequence[Tensor], columns: Tensor | None = None) -> list[Tensor]:
     """What a pass without a warp makes of images (C, H, W), by the columns of each."""
     columns, fill, _, *program = colors.arguments(like_batch(images), columns)
-    return list(warp_and_color_to_list(list(images), columns, fill, False, [], *program)[: len(images)])
+    takes_planes = colors.takes_planes(images[0])
+    planes = [as_plane(x) for x in images] if takes_planes else list(images)
+    results = list(warp_and_color_to_list(planes, columns, fill, False, [], *program)[: len(images)])
+    return [y.view(x.shape) for x, y in zip(images, results)] if takes_planes else results

@@ -16,6 +16,7 @@ from kvision import augmentation as A
 from kvision._backend import current_backend
 from kvision.augmentation.drawn_pass import DrawnListPass
 from kvision.augmentation.engine import list_runs, passes
+from kvision.augmentation.lists import conversions
 from op_tests import assert_close
 
 FISHEYE = [torch.tensor(r, device="cpu") for r in ((-0.3, 0.3), (-0.3, 0.3), (0.9, 1.1))]
@@ -325,7 +326,8 @@ def test_the_operator_promises_what_it_gives(device, backend, monkeypatch):
             augment, calls = A.ImageSequential(*PASSES[name]()), []
             operator = passes.warp_and_color_to_list
             monkeypatch.setattr(DrawnListPass, "serves", lambda *args: False)
-            monkeypatch.setattr(passes, "warp_and_color_to_list", lambda *a: (calls.append(a), operator(*a))[1])  # noqa: B023
+            for module in (passes, conversions):
+                monkeypatch.setattr(module, "warp_and_color_to_list", lambda *a: (calls.append(a), operator(*a))[1])  # noqa: B023
             augment(images, seed=0)
             monkeypatch.undo()
             (args,) = calls

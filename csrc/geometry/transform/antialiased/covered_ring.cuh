@@ -47,6 +47,7 @@ struct PartsRing {
 
   RingPart<F> parts[kParts];
   TileInParts<F> whole;
+  unsigned staged, others;  // those of the parts located at once that are sampled by the ring, and those that are not
 };
 
 // A thread's source pixels of parts, in vectors of four.
@@ -113,8 +114,8 @@ __device__ __forceinline__ F sum_of_adjacent(F x) {
 }
 
 // Samples N channels from `first` on of the first `count` parts of the ring, with 2^A threads and Taps << A columns for
-// each pixel.
-template <int A, int Taps, int N, class T, class F>
+// each pixel, of Rows rows where that is not 0.
+template <int A, int Taps, int Rows, int N, class T, class F>
 __device__ __forceinline__ void sample_stages(Sample<T> const& p, PartsRing<F> const& ring, int count, int first,
                                               T* memory) {
   using Ring = PartsRing<F>;
@@ -163,10 +164,20 @@ __device__ __forceinline__ void sample_stages(Sample<T> const& p, PartsRing<F> c
       weights[i] = vsaturate(1 - vabs(by_x * (dx + F(i << A))));
       sum += weights[i];
     }
+    [[maybe_unused]] F rows[Rows > 0 ? Rows : 1];  // weights along y
+    if constexpr (Rows > 0) {
+#pragma unroll
+      for (int j = 0; j < Rows; ++j) {
+        rows[j] = vsaturate(1 - vabs(q));
+        down += rows[j];
+        q += by_y;
+      }
+    } else {
 #pragma unroll 2
-    for (int j = 0; j < taps_y; ++j) {
-      down += vsaturate(1 - vabs(q));
-      q += by_y;
+      for (int j = 0; j < taps_y; ++j) {
+        down += vsaturate(1 - vabs(q));
+        q += by_y;
+      }
     }
     F const scale = reciprocal(sum_of_adjacent<A>(sum) * down);
 #pragma unroll
@@ -189,20 +200,29 @@ __device__ __forceinline__ void sample_stages(Sample<T> const& p, PartsRing<F> c
       __pipeline_commit();
       T const* row = at + (N > 1 ? k : stage) * Ring::kSize;
       F total = 0, q = first_q;
-#pragma unroll 2
-      for (int j = 0; j < taps_y; ++j) {
+      auto const sum_of_row = [&] {
         F across = weights[0] * F(read(row[0]));
 #pragma unroll
         for (int i = 1; i < Taps; ++i) across += weights[i] * F(read(row[i << A]));
-        total += vsaturate(1 - vabs(q)) * across;
-        q += by_y;
         row += Ring::kPitch;
+        return across;
+      };
+      if constexpr (Rows > 0) {
+#pragma unroll
+        for (int j = 0; j < Rows; ++j) total += rows[j] * sum_of_row();
+      } else {
+#pragma unroll 2
+        for (int j = 0; j < taps_y; ++j) {
+          total += vsaturate(1 - vabs(q)) * sum_of_row();
+          q += by_y;
+        }
       }
       total = sum_of_adjacent<A>(total);
-      rest += total - total;
-      if (is_pixel) to[k * channel_step] = round_to<T>(total);
+      rest += total;
+      if (is_pixel) *to = round_to<T>(total);
+      to += channel_step;
     }
-    if (is_pixel && !(fits && rest == 0)) failed |= 1u << part;
+    if (is_pixel && !(fits && rest - rest == 0)) failed |= 1u << part;
     if (N == 1) stage = stage + 1 < Ring::kStages ? stage + 1 : 0;
   }
 #pragma unroll 1
@@ -228,27 +248,43 @@ __device__ __forceinline__ void sample_parts(Sample<T> const& p, PartsRing<F>& r
       p.x_axis.padding == Padding::fill && p.x_axis.size % 4 == 0 && (sizeof(T) == sizeof(F) || !p.fill);
 #pragma unroll 1
   for (int from = split * count / splits; from < end; from += PartsRing<F>::kParts) {
-    // Each warp finds the same; the first one stores it.
-    int x, y;
-    whole.locate(from + lane, x, y);
-    bool const exists = from + lane < end && x < width && y < height;
-    RingPart<F> part;
-    bool const staged = uses_ring && exists && part.init(p, whole, filled, x, y);
-    unsigned const parts = __ballot_sync(kAllLanes, staged);
-    unsigned others = __ballot_sync(kAllLanes, exists && !staged);
+    __syncthreads();  // before parts are overwritten
+    if (threadIdx.x < 32) {
+      int x, y;
+      whole.locate(from + lane, x, y);
+      bool const exists = from + lane < end && x < width && y < height;
+      RingPart<F> part;
+      bool const is_staged = uses_ring && exists && part.init(p, whole, filled, x, y);
+      unsigned const staged = __ballot_sync(kAllLanes, is_staged);
+      unsigned const others = __ballot_sync(kAllLanes, exists && !is_staged);
+      if (is_staged) ring.parts[__popc(staged & ((1u << lane) - 1))] = part;
+      if (lane == 0) {
+        ring.staged = staged;
+        ring.others = others;
+      }
+    }
+    __syncthreads();
+    int const parts = __popc(ring.staged);
+    unsigned others = ring.others;
     if (parts != 0) {
-      __syncthreads();  // before parts are overwritten
-      if (threadIdx.x < 32 && staged) ring.parts[__popc(parts & ((1u << lane) - 1))] = part;
-      __syncthreads();
       for_each_channel_group<PartsRing<F>::kStages>(p.x.channels, [&](int first, auto number) {
         dispatch_shape(plan, [&](auto across, auto taps) {
-          sample_stages<across.value, taps.value, number.value>(p, ring, __popc(parts), first,
-                                                                reinterpret_cast<T*>(memory));
+          constexpr int A = across.value, Taps = taps.value, N = number.value;
+          auto const sample = [&](auto rows) {
+            sample_stages<A, Taps, rows.value, N>(p, ring, parts, first, reinterpret_cast<T*>(memory));
+          };
+          // Rows of images that shrink by one factor are known.
+          constexpr bool kIsKnown = N > 1 && Taps << A <= 8;
+          if (kIsKnown && plan.taps_y == Taps << A)
+            sample(std::integral_constant<int, kIsKnown ? Taps << A : 0>{});
+          else
+            sample(std::integral_constant<int, 0>{});
         });
       });
     }
 #pragma unroll 1
     for (; others != 0; others &= others - 1) {
+      int x, y;
       whole.locate(from + __ffs(int(others)) - 1, x, y);
       sample_whole_part(p, whole, x, y, aligned, reinterpret_cast<F*>(memory));
     }

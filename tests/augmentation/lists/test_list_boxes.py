@@ -103,12 +103,42 @@ AUGMENTATIONS = {
         A.RandomApply([A.LongestMaxSize(48), A.AugmentationSequential(A.RandomRotation(30.0), clip_boxes=True)]),
         A.RandomAffine(20.0, p=1.0),
     ],
+    "crop by boxes inside": lambda: [
+        A.RandomAffine(20.0),
+        A.AugmentationSequential(A.Transpose(), A.RandomIoUCrop(), A.RandomHorizontalFlip(), clip_boxes="each"),
+        A.ImageSequential(A.RandomVerticalFlip(), A.RandomApply([A.RandomCropNearBBox((0.1, 0.3))])),
+        A.RandomAffine(20.0),
+    ],
+    "crop by boxes in choices": lambda: [
+        A.OneOf(A.RandomIoUCrop(), A.RandomAffine(20.0), A.RandomCropNearBBox((0.1, 0.3))),
+        A.SomeOf([A.Transpose(p=1.0), A.RandomIoUCrop(), A.RandomRotation(20.0, p=1.0, p_batch=0.5)], 2),
+        A.RandomOrder(A.RandomVerticalFlip(), A.ImageSequential(A.LongestMaxSize(40), A.RandomCropNearBBox())),
+        A.RandomSizedBBoxSafeCrop(24, 28),
+    ],
+    "crop by boxes of expanded": lambda: [
+        A.RandomRotation(30.0, p=0.7, expand=True),
+        A.RandomIoUCrop(),
+        A.RandomScale((0.5, 1.5), p=1.0),
+        A.AtLeastOneBBoxRandomCrop(9, 8),
+    ],
+    "map and crops by boxes in choices": lambda: [
+        A.RandomThinPlateSpline(0.1, p=0.7),
+        A.OneOf(A.RandomIoUCrop(), A.OpticalDistortion(p=1.0)),
+        A.RandomApply([A.RandomElasticTransform((5, 5), (2.0, 2.0)), A.RandomCropNearBBox()]),
+        A.OneOf(A.RandomAffine(20.0, p=1.0), A.RandomSizedBBoxSafeCrop(24, 28)),
+    ],
+    "crop by masks in choices": lambda: [
+        A.OneOf(A.RandomRotation(30.0, p=1.0, expand=True), A.CropNonEmptyMaskIfExists(16, 20)),
+        A.ImageSequential(A.RandomVerticalFlip(), A.RandomApply([A.CropNonEmptyMaskIfExists(9, 8)]), A.MaskDropout()),
+    ],
     "inside": lambda: [
         A.ImageSequential(A.Transpose(), A.RandomApply([A.RandomRotation(9.0)])),
         A.RandomVerticalFlip(),
     ],
 }
-TOGETHER = [name for name in AUGMENTATIONS if "by masks" not in name]
+TOGETHER = [
+    name for name in AUGMENTATIONS if "by masks" not in name and name != "crop by boxes in choices"
+]  # where a few images take fewer turns
 MAPS = [name for name in AUGMENTATIONS if "map" in name]  # of which rounding differs
 FILTERS = {
     "all boxes": {},

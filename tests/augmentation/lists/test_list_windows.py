@@ -8,6 +8,7 @@ import torch
 from augmentation.container.test_list_launches import Launches, calls
 from augmentation.test_lists import SMALL, assert_as_alone, assert_same, comparison, pictures, seeds_of
 from kvision import augmentation as A
+from kvision.augmentation.engine.list_chains import ChainParts
 from kvision.augmentation.engine.list_runs import ListParts
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*this call has no boxes")
@@ -75,6 +76,64 @@ def test_windows_behind_what_moves_boxes(device):
     for b, x in enumerate(images):
         y, own = augment(x[None], [boxes[b]], seed=seeds[b : b + 1])
         assert torch.equal(results[b], y[0]) and torch.equal(moved[b], own[0])
+
+
+CONTAINERS = {
+    "inside": lambda: [
+        A.ImageSequential(A.RandomVerticalFlip(), A.RandomIoUCrop()),
+        A.ImageSequential(A.ImageSequential(A.RandomCropNearBBox((0.1, 0.3)), A.RandomInvert())),
+    ],
+    "in choices": lambda: [
+        A.OneOf(A.RandomIoUCrop(), A.RandomAffine(20.0), A.RandomCropNearBBox((0.1, 0.3))),
+        A.RandomApply([A.RandomOrder(A.RandomIoUCrop(), A.Transpose(p=1.0))]),
+    ],
+    "expanded": lambda: [A.RandomRotation(30.0, p=0.7, expand=True), A.RandomIoUCrop()],
+    "behind a module inside": lambda: [
+        A.AugmentationSequential(
+            A.RandomAffine(20.0, (0.3, 0.3)), torch.nn.AvgPool2d(3, 1, 1), A.RandomIoUCrop(), clip_boxes="each"
+        )
+    ],
+    "behind a module": lambda: [
+        A.RandomHorizontalFlip(),
+        torch.nn.AvgPool2d(3, 1, 1),
+        A.RandomVerticalFlip(),
+        A.OneOf(A.RandomIoUCrop(), A.ImageSequential(A.Transpose(), A.CropNonEmptyMaskIfExists(9, 8))),
+        A.ImageSequential(A.RandomHorizontalFlip(), A.RandomCropNearBBox((0.1, 0.3)), A.MaskDropout(p=1.0)),
+    ],
+}
+
+
+@pytest.mark.parametrize("name", CONTAINERS)
+def test_windows_in_containers(name, device):
+    """They read the boxes and masks that each image has at their step, also where these move image by image before them."""
+    augment = A.AugmentationSequential(*CONTAINERS[name](), data_keys=["input", "bbox_xyxy", "mask"])
+    images, boxes = pictures(device, (*SMALL, *SMALL)), [*labels(device), *labels(device)]
+    masks, seeds = [(x[:1] > 0.9).byte() for x in images], seeds_of(images)
+    outputs, same = augment(images, boxes, masks, seed=seeds), comparison(augment, images[0].device)
+    assert type(augment._record.parts) is ChainParts
+    matrices, kept, back = augment.transform_matrix, augment.kept_boxes, augment.inverse(*outputs)
+    again = augment(images, boxes, masks, params=augment._params)
+    for b, x in enumerate(images):
+        own = augment(x[None], [boxes[b]], [masks[b]], seed=seeds[b : b + 1])
+        own_back = augment.inverse(*own)
+        assert same(outputs[0][b], own[0][0]) and same(again[0][b], own[0][0]) and same(back[0][b], own_back[0][0])
+        for of_list, alone in ((outputs, own), (again, own), (back, own_back)):
+            assert_same(of_list[1][b], alone[1][0])
+            assert_same(of_list[2][b], alone[2][0])
+        assert_same(matrices[b], augment.transform_matrix[0])
+        assert len(kept) == len(augment.kept_boxes) == 1 and torch.equal(kept[0][b], augment.kept_boxes[0][0])
+
+
+@pytest.mark.parametrize("name", [name for name in CONTAINERS if "module" not in name])
+def test_calls_of_windows_in_containers(name, backend):
+    if backend == "reference":
+        pytest.skip("this test is about the kernels")
+    augment, counts = A.AugmentationSequential(*CONTAINERS[name](), data_keys=["input", "bbox_xyxy"]), []
+    for number in (40, 40, 120):  # the first call makes constants
+        images = pictures("cpu", [(24 + i % 17, 45 - i % 19) for i in range(number)])
+        boxes = [torch.rand(i % 3, 4).cumsum(1) * 5 for i in range(number)]
+        counts.append(calls(augment, images, boxes, seed=seeds_of(images)))
+    assert counts[1] == counts[2]
 
 
 def test_windows_of_one_size_behind_colors(device):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import cache
 from typing import Any, NamedTuple
 
 import torch
@@ -11,13 +12,29 @@ from torch import Tensor
 from kvision.augmentation import labels
 from kvision.augmentation.engine.label_record import LabelRecord, moved_masks
 from kvision.augmentation.engine.label_settings import LabelSettings
+from kvision.augmentation.engine.parts import of_rows
 from kvision.augmentation.engine.stages import Chain, Nested, Stage
 from kvision.augmentation.labels import BOX_FORMATS, BoxFilter
 from kvision.augmentation.sample_rows import index_of
 from kvision.constants import DataKey
 from kvision.geometry.transform.lists.arguments import largest_shape
 
+_OP = "AugmentationSequential"
 Size = tuple[int, ...]
+
+
+class Trail(NamedTuple):
+    """What images of a list, all of a call or some, went through before a step.
+
+    Attributes:
+        moves: gives, for Moves that these go through then, those of all images of the call; None where boxes follow no Moves.
+        masks: gives the masks of these images, of an input by its number.
+        of_image: gives the labels of one of these images by itself, by its number.
+    """
+
+    moves: Callable[[Any], Any]
+    masks: Callable[[int], Sequence[Tensor]]
+    of_image: Callable[[int], CallLabels]
 
 
 class CallLabels(NamedTuple):
@@ -32,7 +49,8 @@ class CallLabels(NamedTuple):
     outer: CallLabels | None = None  # in a part of the call, such as a container that is a child, the labels before it
     wrap: Callable[[list[Stage]], Stage] | None = None  # gives what outer labels follow, of the stages of the part
     rows: Sequence[int] | None = None  # the samples of the outer batch that the part is about; None for all
-    moves: Any = None  # of a list of images what these have been through, as Moves
+    trail: Trail | None = None  # of the images of a list; None if they are those of the call
+    moves: Any = None  # what all images of a list have been through, for boxes that are read now
 
     @classmethod
     def of(cls, keys: Sequence[DataKey], values: Sequence[Any], settings: LabelSettings, images: Any) -> CallLabels:
@@ -44,10 +62,6 @@ class CallLabels(NamedTuple):
         """The labels after further stages."""
         return self._replace(stages=[*self.stages, *stages]) if stages else self
 
-    def moved(self, moves: Any) -> CallLabels:
-        """The labels of a list of images after further Moves of those that they are about."""
-        return self._replace(moves=moves if self.moves is None else self.moves.then(moves))
-
     def inside(self, settings: LabelSettings | None) -> CallLabels:
         """The labels in a container that is the next child, with its settings."""
         own = None if settings is None else _of_steps(settings)
@@ -57,20 +71,79 @@ class CallLabels(NamedTuple):
         """The labels of some samples, to which stages happen that are one stage of the whole batch by `wrap`."""
         return self._replace(stages=(), outer=self, wrap=wrap, rows=rows)
 
-    def some(self, rows: Sequence[int]) -> CallLabels:
-        """The labels of some of these samples, which have been through the same stages."""
-        return self._replace(rows=rows if self.rows is None else [self.rows[i] for i in rows])
+    # --- of the images of a list ---
 
-    def read_inside(self, settings: LabelSettings | None) -> CallLabels:
-        """The labels of a list in a container that is the next child, which may read masks in its own way."""
-        return self._replace(settings=self.settings._replace(masks=self.settings.masks.inside(settings)))
+    def through(self, parts: Any) -> CallLabels:
+        """The labels behind what the Parts of a call say, which have an image each."""
 
-    def of_image(self, sample: int, image: Tensor) -> CallLabels:
-        """The first masks of an image (C, H, W) of a list by itself, as of a batch of one, if there are any."""
-        masks, x = self.masks_of_samples(), image[None]
-        known = [] if masks is None else [(DataKey.MASK, [masks[0][sample]])]
-        keys, values = zip((DataKey.INPUT, x), *known)
+        def moves(further: Any) -> Any:
+            own = parts.moves()
+            return None if own is None else self._moves_of_call(own.then(further))
+
+        def masks(number: int) -> Sequence[Tensor]:
+            before, reading = self._masks_of_list(number), self.settings.masks
+            moved: Sequence[Tensor] | None = parts.moved_masks(before, reading)
+            if moved is None:
+                moved = [moved_masks([x], call.stages, reading, None)[0] for x, call in zip(before, parts.calls)]
+            return moved
+
+        return self._replace(
+            trail=Trail(moves, cache(masks), lambda i: self.of_image(i).after(parts.calls[i].stages.stages))
+        )
+
+    def some(self, rows: Sequence[int], sides: Sequence[int]) -> CallLabels:
+        """The labels of some of these images, which have height and width of each."""
+
+        def masks(number: int) -> Sequence[Tensor]:
+            own = self._masks_of_list(number)
+            return [own[i] for i in rows]
+
+        return self._replace(
+            rows=rows if self.rows is None else [self.rows[i] for i in rows],
+            trail=Trail(
+                lambda further: self._moves_of_call(further.of_some(rows, sides)),
+                cache(masks),
+                lambda i: self.of_image(rows[i]),
+            ),
+        )
+
+    def inside_list(self, settings: LabelSettings | None) -> CallLabels:
+        """The labels in a container that is the next child, which may read masks in its own way."""
+        own = None if settings is None else _of_steps(settings)
+        return self._replace(
+            settings=self.settings._replace(masks=self.settings.masks.inside(settings)),
+            trail=Trail(
+                lambda further: self._moves_of_call(further.inside(own)),
+                self._masks_of_list,
+                lambda i: self.of_image(i).inside(settings),
+            ),
+        )
+
+    def moved(self, moves: Any) -> CallLabels:
+        """The labels whose boxes are read after Moves of these images; `moves` is None where boxes follow no Moves."""
+        return self._replace(moves=self._moves_of_call(moves))
+
+    def of_image(self, number: int) -> CallLabels:
+        """The boxes and masks of an image by itself, as of a batch of one."""
+        if self.trail is not None:
+            return self.trail.of_image(number)
+        x, count = self.values[self.keys.index(DataKey.INPUT)][number][None], self.images[0]
+        known = [
+            (key, value) for key, value in zip(self.keys, self.values) if key == DataKey.MASK or key in BOX_FORMATS
+        ]
+        own = [(key, of_rows(_OP, key, value, [number], count)) for key, value in known]
+        keys, values = zip((DataKey.INPUT, x), *own)
         return CallLabels.of(keys, values, self.settings, x)
+
+    def _moves_of_call(self, moves: Any) -> Any:
+        return moves if self.trail is None else self.trail.moves(moves)
+
+    def _masks_of_list(self, number: int) -> Sequence[Tensor]:
+        """The masks of these images, of an input by its number."""
+        masks: Sequence[Tensor] = self.values[number]
+        return masks if self.trail is None else self.trail.masks(number)
+
+    # --- what is read ---
 
     def read(self, kind: str, shape: Size, frames: int = 1) -> Any:
         """What a draw reads: `boxes` or `masks` of the images, now of a shape; those of `frames` neighbors together."""
@@ -81,28 +154,26 @@ class CallLabels(NamedTuple):
         known = [(key, value) for key, value in zip(self.keys, self.values) if key in BOX_FORMATS]
         if not known:
             return None
-        stages, size, images = self._chain(), shape[2:], self.images
-        if self.moves is not None:  # which are those of the selected images
-            known = [(key, self._selected(value)) for key, value in known]
+        stages, size = self._chain(), shape[2:]
+        if self.moves is not None:
             stages, size = self.moves.stages(self._device)
-            images = (shape[0], *images[1:])
         moved = [value for _, value in known]
         if stages:
-            record = LabelRecord(_of_steps(self.settings), images, size)
+            record = LabelRecord(_of_steps(self.settings), self.images, size)
             moved = record.move([key for key, _ in known], moved, Chain(stages))
-        edges = [labels.box_edges(now, BOX_FORMATS[key], images[0], value) for (key, value), now in zip(known, moved)]
-        boxes = torch.cat([part.to(edges[0]) for part in edges], 1)
-        boxes = boxes if self.moves is not None else self._selected(boxes)
+        edges = [
+            labels.box_edges(now, BOX_FORMATS[key], self.images[0], value) for (key, value), now in zip(known, moved)
+        ]
+        boxes = self._selected(torch.cat([part.to(edges[0]) for part in edges], 1))
         return boxes.reshape(shape[0] // frames, frames * boxes.shape[1], 4) if frames > 1 else boxes
 
     def first_masks(self) -> Any:
         """Those of the first input: in the form in which they were given, or those of some samples; None without any."""
         if self.is_list and not self._chain():
-            masks = self.masks_of_samples()
-        else:
-            masks = self.masks()
-            if self._is_of_some:
-                masks = [self._selected(x if isinstance(x, (list, tuple)) else labels.masks_as_batch(x)) for x in masks]
+            return self._masks_of_list(self.keys.index(DataKey.MASK)) if DataKey.MASK in self.keys else None
+        masks = self.masks()
+        if self._is_of_some:
+            masks = [self._selected(x if isinstance(x, (list, tuple)) else labels.masks_as_batch(x)) for x in masks]
         return masks[0] if masks else None
 
     @property
@@ -124,7 +195,7 @@ class CallLabels(NamedTuple):
     def masks_of_samples(self, frames: int = 1) -> list[Any] | None:
         """Those of all inputs (B, C, H, W), of a list of images a list of (N, H, W); None if the call has no masks."""
         if self.is_list and not self._chain():
-            own = [self._selected(value) for key, value in zip(self.keys, self.values) if key == DataKey.MASK]
+            own = [self._masks_of_list(number) for number, key in enumerate(self.keys) if key == DataKey.MASK]
             return own or None
         masks = self.masks()
         if not masks:

@@ -18,7 +18,6 @@ from kvision.augmentation.engine.augmentation import AugmentationBase
 from kvision.augmentation.engine.call_context import CallContext
 from kvision.augmentation.engine.call_labels import CallLabels
 from kvision.augmentation.engine.execution import matrix_type
-from kvision.augmentation.engine.label_record import moved_masks
 from kvision.augmentation.engine.label_settings import LabelSettings, MaskReading
 from kvision.augmentation.engine.list_calls import refuse_list, seeds_of_list
 from kvision.augmentation.engine.list_moves import Move, Moves, joined_moves
@@ -29,7 +28,7 @@ from kvision.augmentation.engine.runs import execute, inside_child, runs_of
 from kvision.augmentation.engine.stages import Chain, Nested, Stage
 from kvision.augmentation.engine.turns import Turn, seed_of
 from kvision.augmentation.warp_and_color import SAME
-from kvision.constants import DataKey
+from kvision.geometry.transform.lists.arguments import sizes
 
 Done = tuple[Sequence[Child], Sequence[Stage]]  # the children that an image got, and what labels have to follow
 
@@ -136,14 +135,11 @@ def _runs(module: Any, images: Sequence[Tensor], context: CallContext) -> bool:
 
 
 def _takes_lists(container: Any) -> bool:
-    """Whether all that is in a container takes an image of a list alone, keeps its type, and draws nothing from its boxes."""
+    """Whether all that is in a container takes an image of a list alone, and keeps its type."""
     if not _is_plain(container) or any(getattr(m, "_output", SAME) != SAME for m in container.modules()):
         return False
-    return not any(
-        m.mixes_samples or (m.reads_labels is not None and not m.needs_masks) or not m.takes_lists
-        for m in container.modules()
-        if isinstance(m, AugmentationBase)
-    )
+    augmentations = [m for m in container.modules() if isinstance(m, AugmentationBase)]
+    return not any(m.mixes_samples or not m.takes_lists for m in augmentations)
 
 
 def _is_plain(module: Any) -> bool:
@@ -173,7 +169,7 @@ def _run_container(module: Any, images: list[Tensor], params: Any, context: Call
     results, steps = list(images), list[ListStep]()
     for turn in turns:
         if turn.samples:
-            now = own._replace(labels=_labels_after(own.labels, turn.children, steps, results))
+            now = _behind(own, turn.children, images, results, steps)
             steps += _run_turn(results, turn, now)
     return results, steps
 
@@ -181,7 +177,7 @@ def _run_container(module: Any, images: list[Tensor], params: Any, context: Call
 def _run_turn(results: list[Tensor], turn: Turn, context: CallContext) -> list[ListStep]:
     """Run the children of a turn on its images among `results`, whose places the new ones take."""
     samples, owners = list(turn.samples), [-1] * len(turn.samples)
-    labels = None if context.labels is None else context.labels.some(samples)
+    labels = None if context.labels is None else context.labels.some(samples, sizes(results))
     own = context._replace(seed=seed_of(context.seed, samples, len(results)), labels=labels)
     if turn.parts is not None:
         for number, chosen in enumerate(turn.parts):
@@ -211,21 +207,21 @@ def _run_children(
     images: list[Tensor], children: Sequence[Child], context: CallContext, position: int
 ) -> tuple[Any, list[ListStep]]:
     """Children one after the other, each run and each container inside by itself."""
-    everything, steps = range(len(images)), list[ListStep]()
+    everything, steps, given = range(len(images)), list[ListStep](), images
     y: Any = images
     for run, is_joined in runs_of(children, context.plans):
         images = y if isinstance(y, list) else list(y)
         module: Any = run[0].module
-        own = context._replace(position=position, labels=_labels_after(context.labels, run, steps, images))
-        done = run_list(images, run, own) if is_joined or _needs_masks(module) else None
+        own = _behind(context, run, given, images, steps)._replace(position=position)
+        runs_list = (is_joined or _needs_masks(module)) and _follow_moves(run, own.labels, images)
+        done = run_list(images, run, own) if runs_list else None
         if done is not None:
             y, parts = done
             steps.append(ListStep(everything, parts.done, parts))
         elif not is_joined and (_is_plain(module) or _takes_whole_lists(module, context)):
             inside, params = module._inside(inside_child(own, position)), run[0].params
-            inside = inside._replace(
-                labels=None if own.labels is None else own.labels.read_inside(module._label_settings)
-            )
+            if own.labels is not None:
+                inside = inside._replace(labels=own.labels.inside_list(module._label_settings))
             parts_inside: Any
             if _is_plain(module):
                 y, more = _run_container(module, images, params, inside)
@@ -243,24 +239,33 @@ def _run_children(
     return y, steps
 
 
-def _labels_after(
-    labels: CallLabels | None, children: Sequence[Child], steps: Sequence[ListStep], images: list[Tensor]
-) -> CallLabels | None:
-    """The first masks of images that became these by steps, if there are any and one of the next children reads them."""
-    reads = labels is not None and any(_needs_masks(m) for child in children for m in child.module.modules())
-    read = labels.masks_of_samples() if labels is not None and reads else None
-    if labels is None or read is None:
-        return labels
-    masks, reading = list(read[0]), labels.settings.masks
-    for samples, done, moving in steps:
-        own = [masks[i] for i in samples]
-        moved = None if moving is None else moving.moved_masks(own, reading)
-        if moved is None:
-            each = [Chain(done(i)[1]) for i in range(len(samples))]
-            moved = [moved_masks([mask], stages, reading, None)[0] for mask, stages in zip(own, each)]
-        for i, mask in zip(samples, moved):
-            masks[i] = mask
-    return CallLabels.of([DataKey.INPUT, DataKey.MASK], [images, masks], labels.settings, images)
+def _behind(
+    context: CallContext,
+    children: Sequence[Child],
+    images: list[Tensor],
+    results: list[Tensor],
+    steps: Sequence[ListStep],
+) -> CallContext:
+    """The context of children of images that became `results` by steps, with their labels if these children read any."""
+    labels = context.labels
+    if labels is None or not any(_kind_of_labels(m) for child in children for m in child.module.modules()):
+        return context._replace(labels=None)
+    return context._replace(
+        labels=labels.through(ChainParts(context.op, images, results, [*steps])) if steps else labels
+    )
+
+
+def _kind_of_labels(module: Any) -> str | None:
+    """What a module reads, boxes or masks."""
+    kind: str | None = getattr(module, "reads_labels", None)
+    return kind or ("masks" if _needs_masks(module) else None)
+
+
+def _follow_moves(children: Sequence[Child], labels: CallLabels | None, images: list[Tensor]) -> bool:
+    """Whether the boxes that children read, if any, follow what moves all images before them."""
+    if labels is None or not any(_kind_of_labels(child.module) == "boxes" for child in children):
+        return True
+    return labels.moved(Moves([], sizes(images))).moves is not None
 
 
 class _Inside(NamedTuple):
@@ -322,7 +327,7 @@ def _run_each(
         if owners is not None:
             alone = alone._replace(owners=owners[b : b + 1])
         if context.labels is not None:
-            alone = alone._replace(labels=context.labels.of_image(b, x))
+            alone = alone._replace(labels=context.labels.of_image(b))
         y, stages = execute(x[None], own, alone, position)
         results.append(y[0])
         each.append((own, stages))

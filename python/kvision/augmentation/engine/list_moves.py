@@ -191,6 +191,11 @@ class Moves(NamedTuple):
         """These, and then others."""
         return Moves([*self.moves, *others.moves], others.after)
 
+    def of_some(self, samples: Sequence[int], sides: Sequence[int]) -> Moves:
+        """The same as those of some images of a list of these sizes."""
+        moves = [move.of_some(samples, sides) for move in self.moves]
+        return Moves(moves, with_sides(sides, samples, self.after))
+
     def inside(self, settings: LabelSettings | None) -> Moves:
         """The same in a container that is a child, with its settings."""
         if settings is None:
@@ -307,6 +312,6 @@ def joined_moves(sides: Sequence[int], parts: Iterable[tuple[Sequence[int], Move
         if 2 * len(samples) == len(sides):
             moves, sides = [*moves, *own.moves], own.after
             continue
-        moves += [move.of_some(samples, sides) for move in own.moves]
-        sides = with_sides(sides, samples, own.after)
+        placed = own.of_some(samples, sides)
+        moves, sides = [*moves, *placed.moves], placed.after
     return Moves(moves, sides)

@@ -293,7 +293,7 @@ def run_list(images: list[Tensor], children: Sequence[Child], context: CallConte
             some = some_of(images, samples)
             own = [replace(child, params=params_of_rows(child.params, samples, count)) for child in children]
         if seeds is not None:
-            labels = None if context.labels is None else context.labels.some(samples)
+            labels = None if context.labels is None else context.labels.some(samples, sides_of(images))
             of_some = context._replace(seed=read_rows(seeds, samples), generator=None, labels=labels)
         run = _prepared(some, own, applied, of_some)
         if run is None:

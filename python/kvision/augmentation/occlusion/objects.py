@@ -262,9 +262,8 @@ class MaskDropout(DropoutBase, keeps_contract=True):
 
 
 def _masks_of(context: Any) -> Any:
-    """The first masks of a call on a list, as they were given."""
-    read = None if context.labels is None else context.labels.read("masks", ())
-    return None if read is None else read[0]
+    """The first masks of the images of a list, as they are by then."""
+    return None if context.labels is None else context.labels.first_masks()
 
 
 def _warn_without(masks: Any) -> None:

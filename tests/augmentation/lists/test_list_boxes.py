@@ -2,6 +2,7 @@
 
 import pytest
 import torch
+from torch.utils._python_dispatch import TorchDispatchMode
 
 from augmentation.container.test_list_launches import Launches
 from augmentation.test_lists import assert_same, pictures, seeds_of
@@ -156,6 +157,18 @@ def assert_same_labels(name, mine, other):
         assert_same(mine, other)
 
 
+class Names(TorchDispatchMode):
+    """The names of all operators that are called."""
+
+    def __init__(self):
+        super().__init__()
+        self.names = []
+
+    def __torch_dispatch__(self, operator, types, args=(), kwargs=None):
+        self.names.append(operator._schema.name)
+        return operator(*args, **(kwargs or {}))
+
+
 def labels_of(images):
     boxes = [torch.rand(n, 4, device=x.device).cumsum(1) * 9 for n, x in zip(COUNTS, images)]
     corners = torch.rand(len(images), 2, 4, 2, device=images[0].device) * 30
@@ -250,6 +263,22 @@ def test_launches_do_not_depend_on_the_number_of_labels(name, filters, is_replay
     assert (
         counts[2] - counts[1] < 48
     )  # images: which turns these take is drawn, and where all boxes stay nothing is copied
+
+
+def test_maps_are_made_once_for_images_whose_boxes_are_filtered_at_other_times(backend):
+    """Once for images, once for masks, and once for all boxes and points."""
+    if backend == "reference":
+        pytest.skip("this test is about the kernels")
+    augment = A.AugmentationSequential(
+        A.RandomApply([A.AugmentationSequential(A.Transpose(), min_box_area=60.0)]),
+        A.RandomElasticTransform((5, 5), (2.0, 2.0), p=1.0),
+        data_keys=KEYS,
+    )
+    images = pictures("cpu") * 4
+    given = [value * 4 if isinstance(value, list) else value.repeat(4, 1, 1, 1) for value in labels_of(images[:4])]
+    with Names() as called:
+        augment(images, *given, seed=seeds_of(images))
+    assert called.names.count("kvision::elastic_displacements_list") == 3
 
 
 def test_labels_of_another_number_are_refused():

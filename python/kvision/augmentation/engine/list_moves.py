@@ -260,7 +260,11 @@ class _Rounds:
                 continue
             samples = range(len(self._round)) if move.samples is None else move.samples
             row_of = {sample: row for row, sample in enumerate(samples)}
-            for number, images in self._by_round(samples):
+            rounds = self._by_round(samples)
+            if len(rounds) > 1:
+                links = [link if isinstance(link, Tensor) else link.shared() for link in move.links]
+                move = move._replace(links=links)
+            for number, images in rounds:
                 is_whole = len(images) == len(samples)
                 own = move._replace(samples=images) if is_whole else move.of_rows([row_of[i] for i in images])
                 self._moves.setdefault((number, clips), []).append(own)

@@ -55,6 +55,23 @@ def with_sides(sides: Sequence[int], samples: Sequence[int], own: Sequence[int])
     return every
 
 
+class _MadeOnce:
+    """Makes maps once, until they are forgotten."""
+
+    def __init__(self, make: Callable[[Tensor], Tensor]) -> None:
+        self._make = make
+        self._maps: dict[tuple[torch.dtype, torch.device], Tensor] = {}
+
+    def __call__(self, like: Tensor) -> Tensor:
+        key = (like.dtype, like.device)
+        if key not in self._maps:
+            self._maps[key] = self._make(like)
+        return self._maps[key]
+
+    def forget(self) -> None:
+        self._maps.clear()
+
+
 class ListMap(NamedTuple):
     """Maps of images of a list.
 
@@ -62,17 +79,24 @@ class ListMap(NamedTuple):
         make: gives them like a tensor, as `remap_list` takes them.
         chosen: (B,) bool, the images that are displaced; None for all.
         sides: height and width of each image.
+        made: `make`, or what it reads, if that keeps maps.
     """
 
     make: Callable[[Tensor], Tensor]
     chosen: Tensor | None
     sides: Sequence[int]
+    made: _MadeOnce | None = None
+
+    def shared(self) -> ListMap:
+        """The same, which are made once for all parts of their images."""
+        made = _MadeOnce(self.make)
+        return self._replace(make=made, made=made)
 
     def of_rows(self, rows: Sequence[int]) -> ListMap:
         """The maps of some of these images."""
         chosen = None if self.chosen is None else self.chosen.index_select(0, index_of(rows, self.chosen))
         sides = [n for i in rows for n in self.sides[2 * i : 2 * i + 2]]
-        return ListMap(lambda like: repeated(self.make(like), self.sides, rows), chosen, sides)
+        return ListMap(lambda like: repeated(self.make(like), self.sides, rows), chosen, sides, self.made)
 
     def among(self, samples: Sequence[int], sides: Sequence[int], device: torch.device) -> ListMap:
         """Those of images of which these are the samples; the others, of which there are `sides`, have none."""
@@ -82,7 +106,7 @@ class ListMap(NamedTuple):
         else:
             none = torch.zeros(count, dtype=torch.bool, device=device)
             chosen = none.index_copy(0, index_of(samples, none), self.chosen.to(device))
-        return ListMap(self.make, chosen, with_sides(sides, samples, self.sides))
+        return self._replace(chosen=chosen, sides=with_sides(sides, samples, self.sides))
 
 
 Link = Tensor | ListMap  # of a chain: matrices (B, 3, 3), or maps
@@ -156,6 +180,9 @@ class OnList(Stage):
 
     def forget(self) -> None:
         self._maps.clear()
+        for link in self.links:
+            if isinstance(link, ListMap) and link.made is not None:
+                link.made.forget()
 
     @property
     def _moved(self) -> list[bool]:

@@ -168,7 +168,8 @@ class OnList(Stage):
 
         Positions outside of `bounded` images show nothing; those between links do.
         """
-        none, found = [False] * len(bounded), list[NodeReading]()
+        none = [False] * len(bounded)
+        found: list[NodeReading] = []  # no call of `list[NodeReading]`, which has no graph before Python 3.12
         for number, link in reversed([*enumerate(self.links)]):
             own = none if number else bounded
             if isinstance(link, Tensor):

@@ -24,8 +24,8 @@ struct GatherShape {
   F m[4], back[4];     // derivatives of source coordinates by those of the output, and back
   F reach_x, reach_y;  // from the middle of a thread's pixels
   int columns, rows;   // from there on
-  // Of an output pixel, at most. Found once: ptxas 13.0 moves bounds that loops of float64 compute in each turn behind
-  // their comparison.
+  // Of an output pixel, at most. Found once: ptxas 12.1 to 13.5 move bounds that loops of float64 compute in each turn
+  // behind their comparison.
   int taps_x, taps_y;
   int size;      // of a part of a tile
   bool gathers;  // whether its output pixels fit

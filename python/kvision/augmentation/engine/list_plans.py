@@ -336,7 +336,9 @@ def columns_of_sizes(
     if own is not None and not is_read:  # linear as those of other numbers are
         own = columns_of_sides([columns_at(size, range(count), given, at) for size in CORNERS], {}, sides)
     if own is None:
-        if not is_read and not torch.cuda.is_current_stream_capturing():  # waits once, in place of launches for each size
+        if (
+            not is_read and not torch.cuda.is_current_stream_capturing()
+        ):  # waits once, in place of launches for each size
             given = [{k: x.cpu() if isinstance(x, Tensor) else x for k, x in params.items()} for params in given]
             at = host
         groups = numbers_by(zip(sides[::2], sides[1::2]))

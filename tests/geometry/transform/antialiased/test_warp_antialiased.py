@@ -162,7 +162,9 @@ def test_it_is_continuous_in_the_matrix(device):
 
 
 @pytest.mark.parametrize("width", [132, 131])  # rows that begin with vectors of four pixels, and others
-@pytest.mark.parametrize("factor, degrees", [(1.0, 10.0), (1.6, 77.0), (2.0, 20.0), (2.7, 0.0), (4.0, 110.0), (6.0, 200.0)])
+@pytest.mark.parametrize(
+    "factor, degrees", [(1.0, 10.0), (1.6, 77.0), (2.0, 20.0), (2.7, 0.0), (4.0, 110.0), (6.0, 200.0)]
+)
 def test_turned_images_are_those_of_float64(factor, degrees, width, device):
     """Inside and at the border, of channels together and alone, next to numbers that are not finite, and by lists."""
     x = torch.rand(2, 4, 120, width, generator=torch.Generator().manual_seed(0))

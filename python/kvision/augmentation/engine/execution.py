@@ -37,7 +37,8 @@ def check_maps_of_params(module: Any, params: Params, channels: int, sides: Sequ
     is_of_channels = generator is not None and generator.draws_channels
     if not (maps or is_of_channels) or drawn is None or drawn.is_cuda or is_compiling():
         return
-    before_channels = int(drawn.reshape(-1, drawn.shape[-1])[0, -3])
+    shape = drawn.reshape(-1, drawn.shape[-1])[0]  # (B, C, H, W) or (B, C, D, H, W), or (C, H, W) of an image of a list
+    before_channels = int(shape[min(len(shape) - 3, 1)])
     if before_channels != channels and generator is not None:
         planes = {own[0].shape[-3] if isinstance(own, list) else own.shape[1] for own in maps if len(own)}
         if is_of_channels or (generator.has_planes_of_images and before_channels in planes - {1}):

@@ -35,16 +35,19 @@ def check_maps_of_params(module: Any, params: Params, channels: int, sides: Sequ
     drawn = params.get("forward_input_shape")
     maps = [x for x in params.values() if isinstance(x, list) or (isinstance(x, Tensor) and x.dim() > 3)]
     is_of_channels = generator is not None and generator.draws_channels
-    if not (maps or is_of_channels) or drawn is None or drawn.is_cuda or is_compiling():
+    if not (maps or is_of_channels) or drawn is None or getattr(drawn, "is_cuda", False) or is_compiling():
         return
-    shape = drawn.reshape(-1, drawn.shape[-1])[0]  # (B, C, H, W) or (B, C, D, H, W), or (C, H, W) of an image of a list
-    before_channels = int(shape[min(len(shape) - 3, 1)])
+    shapes = torch.as_tensor(drawn, device="cpu")
+    shapes = shapes.reshape(
+        -1, shapes.shape[-1]
+    ).tolist()  # (B, C, H, W) or (B, C, D, H, W), or (C, H, W) of each image of a list
+    before_channels = shapes[0][min(len(shapes[0]) - 3, 1)]
     if before_channels != channels and generator is not None:
         planes = {own[0].shape[-3] if isinstance(own, list) else own.shape[1] for own in maps if len(own)}
         if is_of_channels or (generator.has_planes_of_images and before_channels in planes - {1}):
             raise ShapeError(f"{op}: expected params of images of {channels} channels, got those of {before_channels}")
     each = list(zip(sides[::2], sides[1::2]))
-    before = [tuple(shape[-2:]) for shape in drawn.reshape(-1, drawn.shape[-1]).tolist()]
+    before = [tuple(shape[-2:]) for shape in shapes]
     count = max(len(each), len(before))
     for own in maps:
         sizes = [tuple(x.shape[-2:]) for x in own] if isinstance(own, list) else [tuple(own.shape[-2:])] * count

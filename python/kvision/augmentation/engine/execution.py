@@ -37,10 +37,9 @@ def check_maps_of_params(module: Any, params: Params, channels: int, sides: Sequ
     is_of_channels = generator is not None and generator.draws_channels
     if not (maps or is_of_channels) or drawn is None or getattr(drawn, "is_cuda", False) or is_compiling():
         return
-    shapes = torch.as_tensor(drawn, device="cpu")
-    shapes = shapes.reshape(
-        -1, shapes.shape[-1]
-    ).tolist()  # (B, C, H, W) or (B, C, D, H, W), or (C, H, W) of each image of a list
+    drawn_shapes = torch.as_tensor(drawn, device="cpu")
+    shapes = drawn_shapes.reshape(-1, drawn_shapes.shape[-1]).tolist()
+    # Shapes are (B, C, H, W), of volumes (B, C, D, H, W), of each image of a list (C, H, W).
     before_channels = shapes[0][min(len(shapes[0]) - 3, 1)]
     if before_channels != channels and generator is not None:
         planes = {own[0].shape[-3] if isinstance(own, list) else own.shape[1] for own in maps if len(own)}

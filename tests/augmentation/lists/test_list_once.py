@@ -6,6 +6,7 @@ import torch
 from augmentation.container.test_list_launches import calls
 from augmentation.test_lists import assert_as_alone, pictures, seeds_of
 from kvision import augmentation as A
+from kvision._backend import current_backend
 
 SIZES = ((16, 20), (24, 31), (16, 20), (27, 27), (40, 18))
 
@@ -75,7 +76,7 @@ def test_labels_follow_the_warp(name, device):
     for b, x in enumerate(images):
         alone = augment(x[None], *[own[b][None] for own in labels], seed=seeds[b : b + 1])
         for i, own in enumerate(alone):
-            tolerance = 1e-3 if name in MAPS and i > 1 else 0
+            tolerance = 1e-3 if name in MAPS and i > 1 else 2e-5 if current_backend() == "reference" and i == 0 else 0
             for mine in (moved[i][b], again[i][b]):
                 torch.testing.assert_close(mine, own[0], rtol=0, atol=tolerance)
 
